@@ -38,7 +38,10 @@ _STRONG = 0.7
 _SETTLED, _LONGEST_STEP, _MOST_STEPS, _ROUNDING = 1e-5, 1.0, 50, 1e-11
 # How often sizes and outliers are found in turn.
 _RIPPLE_TURNS = 4
-# Iterations of the reweighting by which a Student distribution is fitted.
+# A split of a magnitude ends when its forces, in units of 1/gain, differ by no more than this, or
+# when no step of at least this length makes it better: the rest is rounding.
+_BALANCED, _SHORTEST = 1e-7, 1e-4
+# Turns in which the scale of the scatter is found.
 _TURNS = 8
 # Scatter of single holograms around the smooth drive, in nepers: start and lower limit. Lasers and
 # modulators are not steadier than 0.3 %.
@@ -152,6 +155,8 @@ class DrivePrior:
         Twice the negative log density.
     gradient : (k,) float
         Negative gradient of half the cost.
+    scatter : (k,) float
+        Of single holograms around the smooth log magnitude.
     covariance : (k, k) float
         Of the log magnitude, for the variances that the scatter has at this state.
     scatter_volume : float
@@ -160,6 +165,7 @@ class DrivePrior:
 
     cost: float
     gradient: Array
+    scatter: Array
     covariance: Array
     scatter_volume: float
 
@@ -179,7 +185,9 @@ class DrivePrior:
         return float(np.linalg.slogdet(self.curvature)[1]) + self.scatter_volume
 
 
-def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) -> DrivePrior:
+def drive_prior(
+    magnitude: Array, covariance: Array, near: Array, gain: float, dof: float
+) -> DrivePrior:
     """Split a log magnitude into a smooth part and scatter, and return what that costs.
 
     Parameters
@@ -187,43 +195,101 @@ def drive_prior(magnitude: Array, covariance: Array, gain: float, dof: float) ->
     magnitude : (k,) float
         Log magnitude less that of the volts.
     covariance : (k, k) float
-        See `drive_covariance`.
+        Of the smooth part, see `Ripple`.
+    near : (k,) float
+        Scatter from which the search begins: it may cost least at several.
     gain : float
         Scale of the scatter, in nepers.
     dof : float
         Degrees of freedom of its Student distribution.
     """
-    variance, scatter, weighted = _split(magnitude, covariance, gain, dof)
-    smooth = magnitude - scatter
-    cost = (dof + 1) * np.sum(np.log1p((scatter / gain) ** 2 / dof)) + smooth @ weighted
-    gradient = -(dof + 1) * scatter / (dof * gain**2 + scatter**2)
+    splitting = _Splitting(magnitude, covariance, gain, dof)
+    split = splitting.balanced(near)
+    variance = splitting.variance(split.scatter)
     volume = float(np.sum(np.log(variance / gain**2)))
-    return DrivePrior(float(cost), gradient, covariance + np.diag(variance), volume)
+    return DrivePrior(
+        split.cost, -split.weighted, split.scatter, covariance + np.diag(variance), volume
+    )
 
 
-def _split(
-    magnitude: Array, covariance: Array, gain: float, dof: float
-) -> tuple[Array, Array, Array]:
-    """Split a magnitude (k,) into a smooth part and scatter.
+@dataclass(frozen=True)
+class _Split:
+    """A magnitude (k,), split into a smooth part and scatter.
 
-    Returns
-    -------
-    variance : (k,) float
-        Of the scatter.
-    scatter : (k,) float
+    Attributes
+    ----------
     weighted : (k,) float
-        Magnitude, multiplied by the inverse of its covariance.
+        Smooth part, multiplied by the inverse of its covariance.
+    scatter : (k,) float
+    cost : float
+        Twice the negative log density.
     """
-    variance = np.full(len(magnitude), gain**2)
-    for _ in range(_TURNS):
-        factor = linalg.cho_factor(covariance + np.diag(variance), lower=True, check_finite=False)
-        weighted = linalg.cho_solve(factor, magnitude, check_finite=False)
-        scatter = variance * weighted
-        variance = (dof * gain**2 + scatter**2) / (dof + 1)
-    return variance, scatter, weighted
+
+    weighted: Array
+    scatter: Array
+    cost: float
 
 
-def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> float:
+@dataclass(frozen=True)
+class _Splitting:
+    """What a magnitude is split by.
+
+    With the covariance C and the weighted smooth part w, the scatter is s = m − C w and costs
+    (ν + 1) Σ log(1 + s²/νg²) + wᵀ C w.
+    """
+
+    magnitude: Array
+    covariance: Array
+    gain: float
+    dof: float
+
+    def variance(self, scatter: Array) -> Array:
+        """Return the variance (k,) that a scatter with a Student distribution has here."""
+        return (self.dof * self.gain**2 + scatter**2) / (self.dof + 1)
+
+    def at(self, weighted: Array) -> _Split:
+        """Return the split for a weighted smooth part."""
+        smooth = self.covariance @ weighted
+        scatter = self.magnitude - smooth
+        peaks = np.sum(np.log1p((scatter / self.gain) ** 2 / self.dof))
+        return _Split(weighted, scatter, float((self.dof + 1) * peaks + smooth @ weighted))
+
+    def balanced(self, scatter: Array) -> _Split:
+        """Find the split that costs least near a scatter, by Newton's method."""
+        start = self.covariance + np.diag(self.variance(scatter))
+        at = self.at(linalg.solve(start, self.magnitude, assume_a="pos", check_finite=False))
+        for _ in range(_MOST_STEPS):
+            variance = self.variance(at.scatter)
+            off = at.weighted - at.scatter / variance
+            if np.max(np.abs(off)) * self.gain < _BALANCED:
+                break
+            better = self._better(at, off, variance)
+            if better is None:
+                break
+            at = better
+        return at
+
+    def _better(self, at: _Split, off: Array, variance: Array) -> _Split | None:
+        """Take a step; None if the rest is rounding."""
+        bend = (2 * self.dof * self.gain**2 / ((self.dof + 1) * variance) - 1) / variance
+        tried = self.at(at.weighted - self._step(bend, off))
+        if tried.cost < at.cost:
+            return tried
+        # Where the cost of a scatter bends downwards, its bend is left out: this leads down.
+        step, length = self._step(np.maximum(bend, 0), off), 1.0
+        while length > _SHORTEST:
+            tried = self.at(at.weighted - length * step)
+            if tried.cost < at.cost:
+                return tried
+            length /= 2
+        return None
+
+    def _step(self, bend: Array, off: Array) -> Array:
+        unlike = np.eye(len(off)) + bend[:, None] * self.covariance
+        return np.asarray(linalg.solve(unlike, off, check_finite=False))
+
+
+def found_gain(magnitude: Array, covariance: Array, near: Array, gain: float, dof: float) -> float:
     """Find the scale of the scatter of single holograms, in nepers.
 
     It is the one for which each magnitude lies as far from what all others predict as it should:
@@ -231,12 +297,13 @@ def found_gain(magnitude: Array, covariance: Array, gain: float, dof: float) -> 
     `gain` is the start.
     """
     for _ in range(_TURNS):
-        prior = drive_prior(magnitude, covariance, gain, dof)
+        prior = drive_prior(magnitude, covariance, near, gain, dof)
         weighted = prior.curvature @ magnitude
         standard = np.abs(weighted) / np.sqrt(np.diag(prior.curvature))
         gain *= _NORMAL_PER_MAD * float(np.median(standard))
         if gain < LEAST_GAIN:
             return LEAST_GAIN
+        near = prior.scatter
     return gain
 
 
@@ -296,14 +363,16 @@ def found_ripple(start: Ripple, known: KnownMagnitude, gain: float, dof: float) 
     gain, dof : float
         See `drive_prior`.
     """
-    variance = np.full(len(known.pull), gain**2)
-    ripple = start
+    scatter: Array = np.zeros(len(known.pull))
+    variance, ripple = np.full(len(known.pull), gain**2), start
     for _ in range(_RIPPLE_TURNS):
         ripple = _likeliest_sizes(ripple, known, variance)
         whole = ripple.covariance + np.diag(variance)
         unlike = np.eye(len(whole)) + known.precision @ whole
         middle = whole @ linalg.solve(unlike, known.pull, check_finite=False)
-        variance = _split(middle, ripple.covariance, gain, dof)[0]
+        splitting = _Splitting(middle, ripple.covariance, gain, dof)
+        scatter = splitting.balanced(scatter).scatter
+        variance = splitting.variance(scatter)
     curvature, axes = linalg.eigh(0.5 * _size_equations(ripple, known, variance).hessian)
     # No holograms make a size less certain than its prior, which has the variance π²/4.
     covariance = axes / np.maximum(curvature, 4 / np.pi**2) @ axes.T

@@ -20,10 +20,10 @@ def participation_scale(model: Model, state: State) -> Array:
     return np.asarray(np.maximum(scale, _LEAST_SCALE * scale.max()))
 
 
-def first_state(model: Model, displacements: Displacements, shift: Array) -> tuple[State, Array]:
+def first_state(model: Model, displacements: Displacements, shared: Array) -> tuple[State, Array]:
     """Find the constant participations for which holograms are most nearly multiples of a model.
 
-    `shift` (p,) is the expected error that displacements share.
+    `shared` (p,) is what is expected of the parameters that all holograms share.
     """
     known = np.any(displacements.amplitude_rad, axis=1)
     amplitude, information = displacements.amplitude_rad[known], displacements.information[known]
@@ -51,7 +51,7 @@ def first_state(model: Model, displacements: Displacements, shift: Array) -> tup
     # Holograms without information get the drive of their neighbours.
     log_drive = np.interp(np.log(model.hz), np.log(model.hz[known]), np.log(np.abs(drive))) + 0j
     log_drive[known] = np.log(drive)
-    state = State(_constant(model, p), log_drive, shift)
+    state = State(_constant(model, p), log_drive, shared, np.zeros(len(log_drive)))
     return state, np.maximum(np.abs(p), _LEAST_SCALE)
 
 

@@ -20,6 +20,8 @@ from physics.parameters.chamber import Chamber
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
+# Number of parameters by which modes are out of phase.
+OUT_OF_PHASE = 2
 # Loss factor of dry cane.
 LOSS = 0.03
 # Degrees of freedom of the drive's Student distributions, which admit excitation peaks.
@@ -109,16 +111,25 @@ class State:
     x : (v, p) float
         Parameters, one row for each vector (see `Model`).
     log_drive : (k,) complex
-    common_mode_shift : (p,) float
-        Parameters of the error that displacements share.
+    shared : (p,) float
+        What all holograms share: difference of the loss factors, and sound relative to that of a
+        free plate (see `fitting.modal.out_of_phase`), then parameters of the common-mode error.
+    scatter : (k,) float
+        Of single holograms around a smooth log magnitude of the drive.
     gain : float
         Standard deviation of the scatter of single holograms around a smooth drive, in nepers.
     """
 
     x: Array
     log_drive: ComplexArray
-    common_mode_shift: Array
+    shared: Array
+    scatter: Array
     gain: float = FIRST_GAIN
+
+    @property
+    def out_of_phase(self) -> Array:
+        """Difference of the loss factors, and sound relative to that of a free plate (2,)."""
+        return self.shared[:OUT_OF_PHASE]
 
 
 @dataclass(frozen=True)
@@ -135,8 +146,10 @@ class Terms:
     ratio : (k, m) float
         (f/f_m)^(2 − γ_m).
     modal : (k, m) complex
-        Largest deflections d h p.
-    amplitude : (k, j) complex
+        Largest deflections d h p, in phase.
+    out_of_phase : (2, k, m) complex
+        What shear and sound add to them, for a difference of 1 of the loss factors, and for the
+        sound of a free plate.
     """
 
     resonance: ComplexArray
@@ -145,7 +158,16 @@ class Terms:
     loss: Array
     ratio: Array
     modal: ComplexArray
-    amplitude: ComplexArray
+    out_of_phase: ComplexArray
+
+    def moved(self, state: State) -> ComplexArray:
+        """Return the largest deflections (k, m) with what is out of phase."""
+        return self.modal + np.tensordot(state.out_of_phase, self.out_of_phase, axes=1)
+
+    def amplitude(self, state: State) -> ComplexArray:
+        """Return the displacements (k, j)."""
+        found: ComplexArray = self.moved(state) @ self.shapes
+        return found
 
 
 def terms(model: Model, state: State) -> Terms:
@@ -165,11 +187,24 @@ def terms(model: Model, state: State) -> Terms:
     resonance: ComplexArray = 1 / (1 + 1j * loss - ratio)
     participation: ComplexArray = model.powers.astype(complex) @ p.T
     modal = np.exp(state.log_drive)[:, None] * (resonance * participation)
-    return Terms(resonance, participation, shapes, loss, ratio, modal, modal @ shapes)
+    sent = resonance * (model.sound @ modal[..., None])[..., 0]
+    out_of_phase = 1j * np.stack([modal @ model.loss_mixing, -sent])
+    return Terms(resonance, participation, shapes, loss, ratio, modal, out_of_phase)
+
+
+def by_logs(model: Model, terms: Terms) -> tuple[ComplexArray, ComplexArray]:
+    """Return derivatives (k, a) of the active resonances by log frequency and log loss factor."""
+    active = model.active
+    steep = terms.resonance[:, active] ** 2
+    exponent = 2 - model.stiffening[active]
+    return -exponent * terms.ratio[:, active] * steep, -1j * terms.loss[active] * steep
 
 
 def scalars(model: Model, state: State, terms: Terms) -> ComplexArray:
-    """Return derivatives (k, v, p) by all parameters, without the vectors that they multiply."""
+    """Return derivatives (k, v, p) by all parameters, without the vectors that they multiply.
+
+    They are those of a model in phase.
+    """
     active, passive, count = model.active, model.passive, len(model.active)
     powers = model.powers.shape[1]
     drive = np.exp(state.log_drive)[:, None]
@@ -177,11 +212,9 @@ def scalars(model: Model, state: State, terms: Terms) -> ComplexArray:
     s = np.zeros((len(model.hz), count + len(model.reference), model.slots), complex)
     own = h[:, active, None] * model.powers[:, None, :]
     s[:, :count, :powers], s[:, :count, powers : 2 * powers] = own, 1j * own
-    steep = h[:, active] * terms.resonance[:, active] * p[:, active]
-    exponent = 2 - model.stiffening[active]
-    s[:, :count, 2 * powers] = -exponent * terms.ratio[:, active] * steep
-    s[:, :count, 2 * powers + 1] = -1j * terms.loss[active] * steep
-    s[:, count:, :count] = (h * p)[:, None, active]
+    for slot, slope in enumerate(by_logs(model, terms), start=2 * powers):
+        s[:, :count, slot] = drive * slope * p[:, active]
+    s[:, count:, :count] = terms.moved(state)[:, None, active]
     tail = h[:, passive, None] * model.powers[:, None, :TAIL_TERMS]
     s[:, count + passive, count : count + TAIL_TERMS] = tail
     s[:, count + passive, count + TAIL_TERMS : count + 2 * TAIL_TERMS] = 1j * tail
@@ -302,11 +335,15 @@ def _mixing(model: Model, centre_hz: Array) -> Array:
 def drive_prior_at(model: Model, state: State) -> DrivePrior:
     """Return the prior of the drive's log magnitude at a state."""
     magnitude = state.log_drive.real - model.log_volts
-    return drive_prior(magnitude, model.ripple.covariance, state.gain, model.drive_dof)
+    return drive_prior(
+        magnitude, model.ripple.covariance, state.scatter, state.gain, model.drive_dof
+    )
 
 
 def with_gain(model: Model, state: State) -> State:
     """Estimate the scatter of single holograms around a smooth drive."""
     magnitude = state.log_drive.real - model.log_volts
-    gain = found_gain(magnitude, model.ripple.covariance, state.gain, model.drive_dof)
-    return replace(state, gain=gain)
+    smooth, dof = model.ripple.covariance, model.drive_dof
+    gain = found_gain(magnitude, smooth, state.scatter, state.gain, dof)
+    scatter = drive_prior(magnitude, smooth, state.scatter, gain, dof).scatter
+    return replace(state, gain=gain, scatter=scatter)

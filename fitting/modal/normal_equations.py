@@ -16,10 +16,12 @@ from scipy import linalg
 from fitting.modal.drive_prior import DrivePrior
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.model import (
+    OUT_OF_PHASE,
     Model,
     Prior,
     State,
     Terms,
+    by_logs,
     drive_prior_at,
     scalars,
     terms,
@@ -43,7 +45,7 @@ class Data:
     response : (k, 2j, q) float
         Derivatives of the amplitudes by the common-mode error of each hologram, times that root.
     drift : FieldDrift
-        How this follows from its parameters.
+        How this follows from the parameters that all holograms share.
     precision : (p, p) float
         Inverse covariance of these parameters.
     pull : (p,) float
@@ -57,10 +59,10 @@ class Data:
     precision: Array
     pull: Array
 
-    def whitened_residual(self, amplitude: ComplexArray, common_mode_shift: Array) -> Array:
+    def whitened_residual(self, amplitude: ComplexArray, shared: Array) -> Array:
         """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
         whitened_residual = self.root @ parts(self.amplitude - amplitude)[..., None]
-        shift = self.drift.shift(common_mode_shift)
+        shift = self.drift.shift(shared)[:, OUT_OF_PHASE:]
         found: Array = (whitened_residual + self.response @ shift[..., None])[..., 0]
         return found
 
@@ -68,14 +70,6 @@ class Data:
         """Return the same data with every hologram weighted by a factor."""
         root = np.sqrt(fraction)
         return replace(self, root=root * self.root, response=root * self.response)
-
-    def single(self) -> "Data":
-        """Return the same data in single precision: twice as fast, and exact enough for a step."""
-        return replace(
-            self,
-            root=self.root.astype(np.float32),
-            response=self.response.astype(np.float32),
-        )
 
 
 def parts(complex_rows: ComplexArray) -> Array:
@@ -124,13 +118,16 @@ class _Seen:
         return np.ascontiguousarray((moved @ self.columns).transpose(1, 2, 0))
 
 
-def _seen(model: Model, data: Data, now: Terms) -> _Seen:
-    vectors = np.concatenate([now.shapes[model.active], model.reference]).astype(data.root.dtype)
-    real, imaginary = (half @ vectors.T for half in np.split(data.root, 2, axis=2))
+def _seen(model: Model, data: Data, at: "Evaluation") -> _Seen:
+    modes, whitened = _moving_others(model, at).swapaxes(1, 2), []
+    for factor, half in zip((1, 1j), np.split(data.root, 2, axis=2), strict=True):
+        turned = factor * modes
+        whitened.append(data.root @ np.concatenate([turned.real, turned.imag], axis=1))
+        whitened.append(half @ model.reference.T)
     # The common-mode error moves the amplitudes, which is as if the model moved the other way.
-    columns = np.concatenate([real, imaginary, -data.response], axis=2)
+    columns = np.concatenate([*whitened, _out_of_phase(data, at.terms), -data.response], axis=2)
     size = columns.shape[2]
-    products = np.empty((size, size, len(columns)), columns.dtype)
+    products = np.empty((size, size, len(columns)))
 
     def fill(some: slice) -> None:
         products[:, :, some] = (columns[some].swapaxes(1, 2) @ columns[some]).transpose(1, 2, 0)
@@ -139,17 +136,47 @@ def _seen(model: Model, data: Data, now: Terms) -> _Seen:
     return _Seen(columns, products)
 
 
-def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations:
-    """Return the normal equations at a state."""
-    now = terms(model, state)
-    seen, layout = _seen(model, data, now), _layout(model, prior)
-    # In the precision of the data.
-    numbers = np.result_type(data.root, np.complex64)
-    by = scalars(model, state, now)[:, layout.own_v, layout.own_p]
-    own = np.ascontiguousarray(by.T.astype(numbers))
+def _moving_others(model: Model, at: "Evaluation") -> ComplexArray:
+    """Return the displacement (k, a, j) of each active mode, with what it moves out of phase."""
+    (shear, sound), now = at.state.out_of_phase, at.terms
+    by_sound = now.resonance[:, :, None] * model.sound[:, :, model.active]
+    by_shear = model.loss_mixing[model.active] @ now.shapes
+    others = shear * by_shear - sound * by_sound.swapaxes(1, 2) @ now.shapes
+    found: ComplexArray = now.shapes[model.active] + 1j * others
+    return found
+
+
+def _by_sound_of_others(model: Model, at: "Evaluation") -> tuple[ComplexArray, ComplexArray]:
+    """Return derivatives (k, a) by log frequency and log loss factor, by the sound of others.
+
+    The sound that others send moves a mode by its resonance.
+    """
+    sent = (model.sound[:, model.active] @ at.terms.modal[..., None])[..., 0]
+    by_hz, by_loss = by_logs(model, at.terms)
+    factor = -1j * at.state.out_of_phase[1] * sent
+    return factor * by_hz, factor * by_loss
+
+
+def _out_of_phase(data: Data, now: Terms) -> Array:
+    """Return the whitened derivatives (k, 2j, 2) by the parameters that modes are out of phase."""
+    moved = np.stack([parts(modal @ now.shapes) for modal in now.out_of_phase], axis=2)
+    found: Array = data.root @ moved
+    return found
+
+
+def equations(model: Model, data: Data, prior: Prior, at: "Evaluation") -> Equations:
+    """Return the normal equations at a state.
+
+    What depends on the square of parameters by which modes are out of phase is left out.
+    """
+    state, now = at.state, at.terms
+    seen, layout = _seen(model, data, at), _layout(model, prior)
+    by = scalars(model, state, now)
+    by[:, : layout.active, layout.logs] += np.stack(_by_sound_of_others(model, at), axis=2)
+    own = np.ascontiguousarray(by[:, layout.own_v, layout.own_p].T)
     # All shapes that mix into a mode have the same factor.
-    mixed = np.ascontiguousarray(now.modal[:, model.active].T.astype(numbers))
-    drive = _drive(model, now, layout.vectors).astype(data.root.dtype)
+    mixed = np.ascontiguousarray(now.moved(state)[:, model.active].T)
+    drive = _drive(model, now.modal, layout.vectors)
     moved = seen.along(drive)
     order = layout.order(len(data.precision))
     matrix = _matrix(layout, seen, own, mixed, data.drift)[np.ix_(order, order)]
@@ -158,7 +185,7 @@ def equations(model: Model, data: Data, prior: Prior, state: State) -> Equations
     return Equations(
         matrix + held,
         coupling.reshape(len(order), -1),
-        _drive_matrix(model, state, moved, drive),
+        _drive_matrix(at.drive_prior.curvature, moved, drive),
     )
 
 
@@ -186,14 +213,10 @@ class Evaluation:
 
 def evaluate(model: Model, data: Data, prior: Prior, state: State) -> Evaluation:
     """Compute residuals and cost of a state."""
-    now, drive_prior, common_mode_shift = (
-        terms(model, state),
-        drive_prior_at(model, state),
-        state.common_mode_shift,
-    )
-    residual = data.whitened_residual(now.amplitude, common_mode_shift)
-    off = data.precision @ common_mode_shift - 2 * data.pull
-    known = float(common_mode_shift @ off) + prior.cost(state.x)
+    now, drive_prior, shared = terms(model, state), drive_prior_at(model, state), state.shared
+    residual = data.whitened_residual(now.amplitude(state), shared)
+    known = float(shared @ (data.precision @ shared - 2 * data.pull)) + prior.cost(state.x)
+    state = replace(state, scatter=drive_prior.scatter)
     return Evaluation(
         state, now, residual, drive_prior, float(np.sum(residual**2)) + known + drive_prior.cost
     )
@@ -209,17 +232,23 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
     real, imaginary = np.split(force, 2, axis=1)
     vectors = np.concatenate([now.shapes[model.active], model.reference])
     pull = np.concatenate([vectors @ real.T, vectors @ imaginary.T])
-    own = scalars(model, state, now)[:, layout.own_v, layout.own_p].T
-    mixed = now.modal[:, model.active].T
+    of_shared = np.concatenate(
+        [
+            (residual[:, None] @ _out_of_phase(data, now))[:, 0],
+            -(residual[:, None] @ data.response)[:, 0],
+        ],
+        axis=1,
+    )
     by_parameters = np.concatenate(
         [
-            *_own_and_mixed(layout, pull, own, mixed),
-            -data.drift.gathered((residual[:, None] @ data.response)[:, 0].T),
+            _by_own(model, at, layout, pull),
+            _by_mixing(layout, pull, now.moved(state)[:, model.active].T),
+            data.drift.gathered(of_shared.T),
         ]
     )[layout.order(len(data.precision))]
     offset = prior.precision[prior.free] * (state.x - prior.centre)[prior.free]
-    drawn = data.precision @ state.common_mode_shift - data.pull
-    drive = _drive(model, now, layout.vectors)
+    drawn = data.precision @ state.shared - data.pull
+    drive = _drive(model, now.moved(state), layout.vectors)
     by_drive = np.einsum("lck,ck->lk", drive, pull)
     by_drive[0] += at.drive_prior.gradient
     return np.concatenate(
@@ -228,6 +257,31 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
             by_drive.ravel(),
         ]
     )
+
+
+def _by_own(model: Model, at: Evaluation, layout: "_Layout", pull: Array) -> Array:
+    """Return the slopes (p,) by own parameters, for forces (2v, k) on all vectors.
+
+    A mode moves others out of phase, so that forces on these act on it, too.
+    """
+    state, now, active, vectors = at.state, at.terms, model.active, layout.vectors
+    own = scalars(model, state, now)[:, layout.own_v, layout.own_p].T
+    others = np.zeros((len(model.hz), vectors, layout.slots), complex)
+    others[:, : len(active), layout.logs] = np.stack(_by_sound_of_others(model, at), axis=2)
+    by_others = others[:, layout.own_v, layout.own_p].T
+    force = pull[:vectors] - 1j * pull[vectors:]
+    on_modes = force[len(active) :].T.copy()
+    on_modes[:, active] = force[: len(active)].T
+    shear, sound = state.out_of_phase
+    more = 1j * shear * on_modes @ model.loss_mixing.T
+    sounding = now.resonance * on_modes
+    more -= 1j * sound * (sounding[:, None] @ model.sound)[:, 0]
+    whole = force.copy()
+    whole[: len(active)] += more.T[active]
+    whole[len(active) :] += more.T
+    acting = own * whole[layout.own_v] + by_others * force[layout.own_v]
+    slopes: Array = np.sum(acting.real, axis=1)
+    return slopes
 
 
 @dataclass(frozen=True)
@@ -244,6 +298,8 @@ class _Layout:
         Number of active modes, and of vectors.
     slots : int
         See `Model.slots`.
+    logs : slice
+        Slots of log frequency and log loss factor.
     """
 
     own_v: NDArray[np.intp]
@@ -253,6 +309,7 @@ class _Layout:
     active: int
     vectors: int
     slots: int
+    logs: slice
 
     def order(self, common_modes: int) -> NDArray[np.intp]:
         """Return the order of a state for own, then mixing parameters; common modes stay last."""
@@ -267,7 +324,9 @@ def _layout(model: Model, prior: Prior) -> _Layout:
     mixing[active:, :active] = free[active:, :active]
     own_v, own_p = np.nonzero(free & ~mixing)
     mix_m, mix_a = np.nonzero(mixing[active:, :active])
-    return _Layout(own_v, own_p, mix_m, mix_a, active, len(free), model.slots)
+    first = 2 * model.powers.shape[1]
+    logs = slice(first, first + 2)
+    return _Layout(own_v, own_p, mix_m, mix_a, active, len(free), model.slots, logs)
 
 
 def _matrix(
@@ -291,16 +350,11 @@ def _matrix(
     )
 
 
-def _own_and_mixed(
-    layout: _Layout, pull: Array, own: ComplexArray, mixed: ComplexArray
-) -> tuple[Array, Array]:
-    """Return sums over holograms of columns times the forces (2v, k) on their vectors."""
-    active, vectors, own_v = layout.active, layout.vectors, layout.own_v
-    of_mixed = _with_mixed(pull[None], mixed, active, vectors)[0]
-    return (
-        np.sum(own.real * pull[own_v] + own.imag * pull[own_v + vectors], axis=1),
-        of_mixed[layout.mix_m, layout.mix_a],
-    )
+def _by_mixing(layout: _Layout, pull: Array, mixed: ComplexArray) -> Array:
+    """Return the slopes by mixing coefficients, for forces (2v, k) on all vectors."""
+    found = _with_mixed(pull[None], mixed, layout.active, layout.vectors)[0]
+    slopes: Array = found[layout.mix_m, layout.mix_a]
+    return slopes
 
 
 def _last_with_mixed(last: Array, mixed: ComplexArray, layout: _Layout, drift: FieldDrift) -> Array:
@@ -392,15 +446,15 @@ def _mixed_with_mixed(products: Array, mixed: ComplexArray, active: int, vectors
     return whole.reshape(modes, modes, len(mixed), len(mixed)).transpose(0, 2, 1, 3)
 
 
-def _drive(model: Model, now: Terms, vectors: int) -> Array:
+def _drive(model: Model, modal: ComplexArray, vectors: int) -> Array:
     """Return the derivatives (2, 2v, k) by log magnitude and phase of the drive.
 
-    They are the amplitudes, and the amplitudes turned by 90°.
+    They are the amplitudes of deflections (k, m), and the amplitudes turned by 90°.
     """
-    weight = np.zeros((vectors, len(model.hz)), complex)
+    weight = np.zeros((vectors, len(modal)), complex)
     active, passive = model.active, model.passive
-    weight[: len(active)] = now.modal[:, active].T
-    weight[len(active) + passive] = now.modal[:, passive].T
+    weight[: len(active)] = modal[:, active].T
+    weight[len(active) + passive] = modal[:, passive].T
     return np.stack(
         [
             np.concatenate([weight.real, weight.imag]),
@@ -409,10 +463,10 @@ def _drive(model: Model, now: Terms, vectors: int) -> Array:
     )
 
 
-def _drive_matrix(model: Model, state: State, moved: Array, drive: Array) -> Array:
-    count, drive_prior = len(model.hz), drive_prior_at(model, state)
+def _drive_matrix(curvature: Array, moved: Array, drive: Array) -> Array:
+    count = len(curvature)
     own = np.einsum("lck,mck->lmk", moved[:, : drive.shape[1]], drive)
-    matrix = linalg.block_diag(drive_prior.curvature, np.zeros((count, count)))
+    matrix = linalg.block_diag(curvature, np.zeros((count, count)))
     k = np.arange(count)
     for row in range(2):
         for column in range(2):

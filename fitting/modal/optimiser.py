@@ -1,16 +1,16 @@
-"""Minimise the cost of the joint model by Levenberg-Marquardt steps, each followed by L-BFGS steps.
+"""Minimise the cost of the joint model by Levenberg-Marquardt steps.
 
-Drive and participations have a nearly free common factor, which makes the cost a long, curved
-valley. A Levenberg-Marquardt step stays near its bottom and proceeds slowly. Most of the time is
-spent on the normal equations; gradients are cheap. The factored equations are therefore used for up
-to 12 further steps, as the initial Hessian of L-BFGS (J. Nocedal, S. J. Wright, Numerical
-Optimization, 2nd ed., algorithm 7.4).
+Drive and participations have a nearly free common factor, and so have participations and mixing of
+weak modes: the cost is a long valley. In the coordinates of the parameters it is curved, and steps
+stay short. Steps therefore multiply: the inverse of the drive moves in proportion to the
+participations, and the product of mixing and participation in proportion to the mixing. Then the
+valley is straight. Along it the cost bends 10⁷ times less than across it, which takes numbers of
+double precision.
 """
 
 import contextlib
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -31,19 +31,24 @@ from fitting.modal.normal_equations import (
 )
 from holography.arrays import Array
 
-_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8
-# Added to the diagonal of a matrix of unit diagonal: more than its rounding in double and in single
-# precision.
-_ROUNDING, _ROUGH = 1e-11, 3e-6
-# Least decrease of the cost in a Levenberg-Marquardt step with all that follow it, and in one of
-# those: a parameter that is off by its standard error costs 1. With three times as much, searches
-# from two starts ended at different places of the same valley.
-_LEAST_PROGRESS, _LEAST_GAIN = 0.1, 0.01
+# Damping, relative to the diagonal: first, least and largest. It falls to a fifth after a step that
+# gains more than a quarter of what the equations predict, and is doubled after any other
+# (D. W. Marquardt 1963, SIAM Journal 11:431).
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-10, 1e8
+_LESS, _MORE, _FAR_MORE, _GOOD = 5.0, 2.0, 8.0, 0.25
+# Added to the diagonal of a matrix of unit diagonal: more than its rounding.
+_ROUNDING = 1e-11
+# Least decrease of the cost in a step: a parameter that is off by its standard error costs 1.
+_LEAST_PROGRESS, _LEAST_GAIN = 1.0, 1.0
 # Steps that follow a Levenberg-Marquardt step, and how many of them L-BFGS remembers.
 _FOLLOWING, _REMEMBERED = 12, 12
 # Line search: least fraction of the decrease that the gradient predicts, factor that cuts the
 # step, and shortest step.
 _SUFFICIENT, _CUT, _SHORTEST = 1e-4, 3.0, 1e-2
+# Largest change of the inverse of a drive, towards zero: a factor of e.
+_MOST_LOUDER = 1 - np.exp(-1)
+# ... and limits of the factor by which a step multiplies a participation, for its mixing.
+_GROWTH = 0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -69,30 +74,34 @@ class _Newton:
     """
 
     def __init__(self, here: Equations, damping: float) -> None:
-        matrix, self._root, self._solved = without_drive(here, damping, np.float32)
+        matrix, self._root, self._solved = without_drive(here, damping)
         diagonal = np.diag(here.matrix)
         # Parameters of very different sizes are scaled to a unit diagonal.
         self._unit = 1 / np.sqrt(diagonal)
         damped = matrix + np.diag(damping * diagonal)
-        scaled = self._unit[:, None] * damped * self._unit + _ROUGH * np.eye(len(diagonal))
-        self._factor = linalg.cho_factor(scaled.astype(np.float32))
-        self._coupling = here.coupling
+        scaled = self._unit[:, None] * damped * self._unit + _ROUNDING * np.eye(len(diagonal))
+        self._factor = linalg.cho_factor(scaled, check_finite=False)
+        self._here = here
 
     def step(self, force: Array) -> Array:
         """Return the step (q + 2k,) for a negative gradient."""
-        count = len(self._unit)
+        count, coupling = len(self._unit), self._here.coupling
         (solve,) = linalg.get_blas_funcs(("trsm",), (self._root,))
-        pulled = solve(1.0, self._root, force[count:, None].astype(np.float32), lower=1)[:, 0]
+        pulled = solve(1.0, self._root, force[count:, None], lower=1)[:, 0]
         reduced = self._unit * (force[:count] - pulled @ self._solved)
-        move = self._unit * linalg.cho_solve(self._factor, reduced.astype(np.float32))
-        left = force[count:] - self._coupling.T @ move
-        drive = linalg.cho_solve((self._root, True), left.astype(np.float32))
+        move = self._unit * linalg.cho_solve(self._factor, reduced, check_finite=False)
+        left = force[count:] - coupling.T @ move
+        drive = linalg.cho_solve((self._root, True), left, check_finite=False)
         return np.concatenate([move, drive])
 
+    def expected(self, move: Array, force: Array) -> float:
+        """Return the decrease of the cost that a step brings if it is as the equations say."""
+        here, own, drive = self._here, *np.split(move, [len(self._unit)])
+        bend = own @ (here.matrix @ own + 2 * here.coupling @ drive)
+        return float(2 * force @ move - bend - drive @ here.drive_matrix @ drive)
 
-def without_drive(
-    here: Equations, damping: float, precision: type[np.floating[Any]]
-) -> tuple[Array, Array, Array]:
+
+def without_drive(here: Equations, damping: float) -> tuple[Array, Array, Array]:
     """Eliminate the drive from the normal equations.
 
     Returns
@@ -106,13 +115,13 @@ def without_drive(
     """
     diagonal = np.diag(here.drive_matrix)
     damped = here.drive_matrix + np.diag(damping * diagonal + 1e-9)
-    root = linalg.cholesky(damped.astype(precision), lower=True, check_finite=False)
+    root = linalg.cholesky(damped, lower=True, check_finite=False)
     # Elements of distant holograms are tiny. Their products would be subnormal numbers, for which
     # processors take ten times as long.
-    root[np.abs(root) < np.sqrt(np.finfo(precision).tiny)] = 0
+    root[np.abs(root) < np.sqrt(np.finfo(float).tiny)] = 0
     # BLAS itself: scipy's solve_triangular is five times as slow.
     (solve,) = linalg.get_blas_funcs(("trsm",), (root,))
-    solved = solve(1.0, root, here.coupling.T.astype(precision), lower=1)
+    solved = solve(1.0, root, here.coupling.T, lower=1)
     return here.matrix - solved.T @ solved, root, solved
 
 
@@ -129,22 +138,26 @@ def minimise_cost(model: Model, data: Data, prior: Prior, state: State, iteratio
     iterations : int
         Largest number of Levenberg-Marquardt steps.
     """
-    at, damping, quick = evaluate(model, data, prior, state), 1e-3, data.single()
+    # A scatter that another ripple left would be near another minimum.
+    state = replace(state, scatter=np.zeros(len(state.scatter)))
+    at, damping = evaluate(model, data, prior, state), _FIRST_DAMPING
     force = negative_gradient(model, data, prior, at)
     for _ in range(iterations):
-        here, before = equations(model, quick, prior, at.state), at.cost
+        here, before = equations(model, data, prior, at), at.cost
         while True:
             # More damping makes the matrix positive definite.
             with contextlib.suppress(np.linalg.LinAlgError):
                 newton = _Newton(here, damping)
-                moved = _moved(model, prior, at.state, newton.step(force))
-                tried = evaluate(model, data, prior, moved)
-                if tried.cost < at.cost:
+                move = newton.step(force)
+                expected = newton.expected(move, force)
+                tried = evaluate(model, data, prior, _moved(model, data, prior, at, move))
+                if tried.cost < before:
                     break
-            damping = max(8 * damping, 1e-6)
+            damping *= _FAR_MORE
             if damping > _MOST_DAMPING:
                 return at.state
-        damping = max(damping / 5, _LEAST_DAMPING)
+        good = before - tried.cost > _GOOD * expected
+        damping = max(damping / _LESS, _LEAST_DAMPING) if good else _MORE * damping
         at, force = _followed(model, data, prior, newton, tried)
         if before - at.cost < _LEAST_PROGRESS:
             break
@@ -160,12 +173,12 @@ def _followed(
     for _ in range(_FOLLOWING):
         move = _direction(newton, steps, force)
         slope, length = float(force @ move), 1.0
-        tried = evaluate(model, data, prior, _moved(model, prior, at.state, move))
+        tried = evaluate(model, data, prior, _moved(model, data, prior, at, move))
         while not tried.cost < at.cost - 2 * _SUFFICIENT * length * slope:
             length /= _CUT
             if slope <= 0 or length < _SHORTEST:
                 return at, force
-            tried = evaluate(model, data, prior, _moved(model, prior, at.state, length * move))
+            tried = evaluate(model, data, prior, _moved(model, data, prior, at, length * move))
         gain, at, before = at.cost - tried.cost, tried, force
         force = negative_gradient(model, data, prior, at)
         step = _Step(length * move, before - force)
@@ -189,21 +202,38 @@ def _direction(newton: _Newton, steps: deque[_Step], force: Array) -> Array:
     return move
 
 
-def _moved(model: Model, prior: Prior, state: State, move: Array) -> State:
+def _moved(model: Model, data: Data, prior: Prior, at: Evaluation, move: Array) -> State:
+    """Take a step (q + 2k,), in coordinates in which the valley is straight."""
+    state, modes, powers = at.state, len(model.active), model.powers.shape[1]
     count, among = len(state.log_drive), int(np.count_nonzero(prior.free))
+    step = np.zeros_like(state.x)
+    step[prior.free] = move[:among]
     # A logarithm changes by at most 1 in a step: the linearisation does not hold farther.
+    step[:modes, 2 * powers :] = np.clip(step[:modes, 2 * powers :], -1, 1)
+    step[modes:, :modes] /= _growth(model, data, at, step)
     drive = np.clip(move[-2 * count :].reshape(2, -1), -1, 1)
-    x = state.x.copy()
-    x[prior.free] += move[:among]
-    logs = slice(len(model.active)), slice(2 * model.powers.shape[1], None)
-    before = state.x[logs]
-    x[logs] = np.clip(x[logs], before - 1, before + 1)
+    inverse = 1 - np.minimum(drive[0], _MOST_LOUDER) - 1j * drive[1]
     return replace(
         state,
-        x=x,
-        log_drive=state.log_drive + drive[0] + 1j * drive[1],
-        common_mode_shift=state.common_mode_shift + move[among : -2 * count],
+        x=state.x + step,
+        log_drive=state.log_drive - np.log(inverse),
+        shared=state.shared + move[among : -2 * count],
     )
+
+
+def _growth(model: Model, data: Data, at: Evaluation, step: Array) -> Array:
+    """Return the factor (a,) by which a step (v, p) multiplies each participation.
+
+    It is the one that fits best where the mode is seen.
+    """
+    now, active, powers = at.terms, model.active, model.powers.shape[1]
+    of_active = step[: len(active)]
+    change = model.powers @ (of_active[:, :powers] + 1j * of_active[:, powers : 2 * powers]).T
+    before = now.participation[:, active]
+    moved = np.exp(at.state.log_drive.real)[:, None] * np.abs(now.resonance[:, active])
+    seen = np.sum(data.root**2, axis=(1, 2))[:, None] * moved**2
+    along = np.sum(seen * (before.conj() * change).real, axis=0)
+    return np.asarray(np.clip(1 + along / np.sum(seen * np.abs(before) ** 2, axis=0), *_GROWTH))
 
 
 def inverse(matrix: Array) -> Array:

@@ -18,8 +18,8 @@ with Δη = 0.025 (decision 0039).
 with h of the model's equation. F modes send out most. Without this, F3 was up to 54 cents off
 (decision 0055).
 
-Δη, and the sound relative to that of a free plate, are fitted as two more parameters of the
-common-mode error.
+Δη, and the sound relative to that of a free plate, are fitted as two more parameters that all
+holograms share.
 """
 
 from dataclasses import replace
@@ -31,8 +31,7 @@ from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.field_drift import FieldDrift, field_drift
-from fitting.modal.model import Model, State, terms
-from fitting.modal.normal_equations import parts
+from fitting.modal.model import OUT_OF_PHASE
 from holography.arrays import Array
 
 # Expectation and standard deviation of Δη: shear loses up to twice as much, and dry cane 0.03. The
@@ -60,40 +59,31 @@ def sound_between_modes(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Array:
     return between * (1 - np.eye(len(hz)))
 
 
-def drift_with_losses(displacements: Displacements) -> FieldDrift:
-    """Return how the common-mode error drifts; its last constant parameters are those of losses."""
+def shared_drift(displacements: Displacements) -> FieldDrift:
+    """Return how what holograms share drifts; both parameters are the first, and constant."""
     drift = field_drift(displacements.common_mode, displacements.recording_rank)
-    return replace(drift, constant=drift.constant + len(_SPREAD))
+    return replace(
+        drift, constant=drift.constant + OUT_OF_PHASE, drifting=drift.drifting + OUT_OF_PHASE
+    )
 
 
-def expected_shift(drift: FieldDrift) -> Array:
-    """Return the expected parameters (p,) of an error that drifts as `drift_with_losses` says."""
-    shift = np.zeros(drift.parameters)
-    shift[drift.constant - len(_EXPECTED) : drift.constant] = _EXPECTED
-    return shift
+def expected_shared(drift: FieldDrift) -> Array:
+    """Return the expected parameters (p,) of what drifts as `shared_drift` says."""
+    expected = np.zeros(drift.parameters)
+    expected[:OUT_OF_PHASE] = _EXPECTED
+    return expected
 
 
-def with_losses(common_mode: CommonModeError, columns: Array) -> CommonModeError:
-    """Return a common-mode error with both parameters as its last values.
+def with_out_of_phase(common_mode: CommonModeError) -> CommonModeError:
+    """Return a common-mode error that has both parameters as its first values.
 
-    `columns` (k, 2j, 2) is the response to them.
+    Displacements do not respond to them: they are part of the model.
     """
-    own = common_mode.response.shape[2]
-    response = np.concatenate([common_mode.response, columns], axis=2)
-    precision = np.zeros((len(response), response.shape[2], response.shape[2]))
-    precision[:, :own, :own] = common_mode.precision
+    holograms, _, own = common_mode.response.shape
     # The sum over holograms is the prior.
-    held = _SPREAD**-2 / len(response)
-    precision[:, own:, own:] = np.diag(held)
-    pull = np.concatenate([common_mode.pull, np.tile(held * _EXPECTED, (len(response), 1))], axis=1)
-    return CommonModeError(response, precision, pull)
-
-
-def loss_response(model: Model, state: State) -> Array:
-    """Return the response (k, 2j, 2) of displacements to both, as `CommonModeError` has it."""
-    now = terms(model, state)
-    by_shear = now.modal @ (model.loss_mixing @ now.shapes)
-    sent = (model.sound @ now.modal[..., None])[..., 0]
-    by_sound = -(now.resonance * sent) @ now.shapes
-    # An error of displacements moves them the other way.
-    return np.stack([-parts(1j * moved) for moved in (by_shear, by_sound)], axis=2)
+    held = _SPREAD**-2 / holograms
+    precision = np.zeros((holograms, own + OUT_OF_PHASE, own + OUT_OF_PHASE))
+    precision[:, :OUT_OF_PHASE, :OUT_OF_PHASE] = np.diag(held)
+    precision[:, OUT_OF_PHASE:, OUT_OF_PHASE:] = common_mode.precision
+    pull = np.concatenate([np.tile(held * _EXPECTED, (holograms, 1)), common_mode.pull], axis=1)
+    return CommonModeError(common_mode.response, precision, pull)

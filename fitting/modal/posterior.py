@@ -86,8 +86,8 @@ class Posterior:
         by_size = curvature @ by_size
         return self.with_log_magnitude @ by_size, self.log_magnitude @ by_size
 
-    def common_mode(self, count: int) -> Array:
-        """Return the covariance (q, q) of the `count` parameters of the common-mode error."""
+    def shared(self, count: int) -> Array:
+        """Return the covariance (q, q) of the `count` parameters that all holograms share."""
         first = len(self.covariance) - count
         return self.covariance[first:, first:]
 

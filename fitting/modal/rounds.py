@@ -18,18 +18,18 @@ from fitting.modal.drive_prior import (
 )
 from fitting.modal.field_drift import FieldDrift, found_walk, shared_error
 from fitting.modal.model import (
+    OUT_OF_PHASE,
     Model,
     Prior,
     Stage,
     State,
     drive_prior_at,
-    terms,
     with_gain,
 )
 from fitting.modal.noise import Noise, balanced, correlated_holograms, data_of, inflated
 from fitting.modal.normal_equations import Data, Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, minimise_cost, without_drive
-from fitting.modal.out_of_phase import loss_response, with_losses
+from fitting.modal.out_of_phase import with_out_of_phase
 from fitting.modal.posterior import Posterior
 from holography.arrays import Array
 
@@ -137,32 +137,31 @@ def one_round(
 ) -> Round:
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
     displacements, drift, noise = given.displacements, given.drift, given.noise
-    common_mode = with_losses(displacements.common_mode, loss_response(model, state))
+    common_mode = with_out_of_phase(displacements.common_mode)
     prior, shared = given.prior, shared_error(common_mode, drift, scatter.walk)
     data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
     state, weighed = fixed(prior, state), data.weighing(1 / scatter.correlated)
     state = with_gain(model, minimise_cost(model, weighed, prior, state, iterations))
-    here = equations(model, weighed, prior, state)
-    alone, root, _ = without_drive(here, 0.0, np.float64)
+    at = evaluate(model, weighed, prior, state)
+    state, here = at.state, equations(model, weighed, prior, at)
+    alone, root, _ = without_drive(here, 0.0)
     covariance = inverse(alone)
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
-    whitened_residual = data.whitened_residual(
-        terms(model, state).amplitude, state.common_mode_shift
-    )
+    whitened_residual = data.whitened_residual(at.terms.amplitude(state), state.shared)
     deviation = noise.deviation(scatter.discrepancy)
     log_likelihood = -np.sum(0.5 * whitened_residual**2 + np.log(deviation), axis=1)
     left = whitened_residual * deviation
     first = len(covariance) - len(shared.precision)
-    walk = found_walk(drift, state.common_mode_shift, covariance[first:, first:], scatter.walk)
+    walk = found_walk(drift, state.shared, covariance[first:, first:], scatter.walk)
     return Round(
         prior=prior,
         state=state,
         here=here,
         covariance=covariance,
         log_evidence=_log_evidence(
-            evaluate(model, weighed, prior, state),
+            at,
             prior,
             float(np.sum(np.log(deviation))) / scatter.correlated,
             alone,
@@ -179,7 +178,7 @@ def one_round(
             # Correlated holograms must not outweigh what is known of the drive.
             correlated=correlated_holograms(noise, whitened_residual, state.log_drive),
         ),
-        common_mode_shift=drift.shift(state.common_mode_shift),
+        common_mode_shift=drift.shift(state.shared)[:, OUT_OF_PHASE:],
         drift=drift,
         noise=inflated(noise, whitened_residual),
     )

@@ -21,6 +21,7 @@ from fitting.modal.drive_prior import (
 
 DOF = 4.0
 HZ = np.geomspace(1400, 20000, 184)
+NONE = np.zeros(len(HZ))
 
 
 def log_density(magnitude, variance, gain):
@@ -40,11 +41,37 @@ def test_cost_and_volume_are_the_density_whatever_covariance_gain_and_magnitude(
         (0.0, 0.01, 0.003), (0.05, 0.01, 0.003), (0.5, 0.01, 0.003), (0.5, 0.0625, 0.003),
         (0.5, 0.01, 0.1), (0.0, 0.01, 0.1),
     ]:  # fmt: skip
-        prior = drive_prior(np.array([magnitude]), np.array([[variance]]), gain, DOF)
+        prior = drive_prior(np.array([magnitude]), np.array([[variance]]), np.zeros(1), gain, DOF)
         found = 0.5 * (prior.log_volume - prior.cost)
         off.append(found - log_density(magnitude, variance, gain))
     # A constant is left out. Laplace's method is off by less than a quarter of a neper.
     assert np.ptp(off) < 0.25
+
+
+@pytest.mark.parametrize("gain", [LEAST_GAIN, 0.02, 0.1])
+@pytest.mark.parametrize("outliers", [0, 12])
+def test_a_magnitude_is_split_where_it_costs_least(gain, outliers):
+    rng = np.random.default_rng(outliers)
+    covariance = quiet_ripple(HZ).covariance
+    smooth = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(HZ))) @ rng.standard_normal(len(HZ))
+    scatter = gain * rng.standard_t(DOF, len(HZ))
+    scatter[rng.choice(len(HZ), outliers, replace=False)] += 0.3
+    magnitude = smooth + scatter
+    prior = drive_prior(magnitude, covariance, NONE, gain, DOF)
+    weighted = np.linalg.solve(covariance, magnitude - prior.scatter)
+    # Where both forces are equal, nothing is gained by moving a part of one into the other.
+    forces = (DOF + 1) * prior.scatter / (DOF * gain**2 + prior.scatter**2)
+    assert prior.gradient == pytest.approx(-forces, abs=1e-4 / gain)
+    assert weighted == pytest.approx(forces, abs=1e-2 / gain)
+    for direction in rng.standard_normal((3, len(HZ))):
+        step = 1e-5 * gain * direction
+        costs = [
+            drive_prior(magnitude + sign * step, covariance, prior.scatter, gain, DOF).cost
+            for sign in (1, -1)
+        ]
+        slope = (costs[0] - costs[1]) / 4
+        size = np.linalg.norm(prior.gradient) * np.linalg.norm(step)
+        assert slope == pytest.approx(-prior.gradient @ step, abs=1e-3 * size)
 
 
 def test_the_scatter_of_holograms_is_found_around_a_smooth_drive():
@@ -53,8 +80,8 @@ def test_the_scatter_of_holograms_is_found_around_a_smooth_drive():
     smooth = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(HZ))) @ rng.standard_normal(len(HZ))
     for gain in (0.005, 0.02):
         magnitude = smooth + gain * rng.standard_normal(len(HZ))
-        assert found_gain(magnitude, covariance, 0.1, DOF) == pytest.approx(gain, rel=0.3)
-    assert found_gain(smooth, covariance, 0.1, DOF) == LEAST_GAIN
+        assert found_gain(magnitude, covariance, NONE, 0.1, DOF) == pytest.approx(gain, rel=0.3)
+    assert found_gain(smooth, covariance, NONE, 0.1, DOF) == LEAST_GAIN
 
 
 NOISE = 0.01
@@ -159,7 +186,7 @@ def test_a_prior_that_a_fit_had_is_taken_out():
     held = ripple.covariance + np.diag(np.full(len(HZ), LEAST_GAIN**2))
     curvature = np.linalg.inv(held)
     covariance = np.linalg.inv(curvature + np.eye(len(HZ)) / NOISE**2)
-    prior = DrivePrior(0.0, -curvature @ magnitude, held, 0.0)
+    prior = DrivePrior(0.0, -curvature @ magnitude, NONE, held, 0.0)
     alone = KnownMagnitude.of(covariance @ magnitude / NOISE**2, covariance, prior)
     np.testing.assert_allclose(alone.precision, np.eye(len(HZ)) / NOISE**2, atol=1e-3 / NOISE**2)
     np.testing.assert_allclose(alone.pull, magnitude / NOISE**2, atol=1e-5 / NOISE**2)

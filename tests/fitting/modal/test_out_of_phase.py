@@ -1,6 +1,7 @@
 """Modes that are not in phase, because shear loses more than bending, and because of sound."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ from scipy import linalg
 
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import _loss_mixing
-from fitting.modal.out_of_phase import drift_with_losses, sound_between_modes, with_losses
+from fitting.modal.field_drift import FIRST_WALK
+from fitting.modal.out_of_phase import shared_drift, sound_between_modes, with_out_of_phase
+from fitting.modal.rounds import Optimum, Scatter, one_round
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, planted, response
+from tests.fitting.modal.test_rounds import begun
 
 # Loss factors of the literature differ by about this.
 DIFFERENCE = 0.025
@@ -41,19 +45,18 @@ def test_both_are_known_as_well_as_literature_knows_them():
     common_mode = CommonModeError(
         np.ones((7, 4, 2)), np.tile(np.eye(2), (7, 1, 1)), np.full((7, 2), 5.0)
     )
-    both = with_losses(common_mode, np.full((7, 4, 2), 3.0))
-    assert both.response[..., :2].tolist() == common_mode.response.tolist()
-    assert both.response[..., 2:].tolist() == np.full((7, 4, 2), 3.0).tolist()
-    held = both.precision.sum(axis=0)[2:]
-    assert held == pytest.approx(np.array([[0, 0, 0.03**-2, 0], [0, 0, 0, 0.5**-2]]))
+    both = with_out_of_phase(common_mode)
+    assert both.response.tolist() == common_mode.response.tolist()
+    held = both.precision.sum(axis=0)[:2]
+    assert held == pytest.approx(np.array([[0.03**-2, 0, 0, 0], [0, 0.5**-2, 0, 0]]))
     # A free plate is expected, and no difference.
-    assert both.pull[:, 2:].sum(axis=0) == pytest.approx([0.0, 0.5**-2])
-    assert both.pull[:, :2].tolist() == common_mode.pull.tolist()
+    assert both.pull[:, :2].sum(axis=0) == pytest.approx([0.0, 0.5**-2])
+    assert both.pull[:, 2:].tolist() == common_mode.pull.tolist()
 
 
 def test_they_are_two_more_values_that_no_hologram_changes():
     displacements = planted().displacements
-    drift = drift_with_losses(displacements)
+    drift = shared_drift(displacements)
     shift = drift.shift(np.arange(1.0, drift.parameters + 1))
     assert shift.shape == (len(DRIVE_HZ), 2)
     assert not np.ptp(shift, axis=0).any()
@@ -92,7 +95,7 @@ def test_losses_are_right_where_modes_are_out_of_phase(seed):
     assert pulls[0] < 2
     assert pulls[1] > 3
     assert found.discrepancy < 0.3 * without.discrepancy
-    assert found.state.common_mode_shift[-2] == pytest.approx(DIFFERENCE, rel=0.1)
+    assert found.state.out_of_phase[0] == pytest.approx(DIFFERENCE, rel=0.1)
     # It is no error of the light.
     assert found.common_mode_shift.shape == (len(DRIVE_HZ), 0)
     assert found.common_mode_covariance.shape == (len(DRIVE_HZ), 0, 0)
@@ -138,7 +141,7 @@ def test_modes_are_right_where_they_send_each_other_sound(seed, share):
     assert rms[0] < 2
     assert rms[1] > 3
     assert found.discrepancy < without.discrepancy
-    assert found.state.common_mode_shift[-1] == pytest.approx(share, abs=0.15)
+    assert found.state.out_of_phase[1] == pytest.approx(share, abs=0.15)
 
 
 def test_a_mode_sends_no_sound_to_itself():
@@ -153,3 +156,20 @@ def test_sound_beyond_the_frequencies_of_the_basis_has_the_resistance_of_their_e
     last_hz = basis.sound_hz[-1]
     at_end, beyond = sound_between_modes(basis, MODE_HZ, np.array([last_hz, 2 * last_hz]))
     assert beyond == pytest.approx(2 * at_end)
+
+
+def test_rounds_end_where_modes_send_each_other_sound():
+    """Each round begins where the one before ended, and has nothing left to do."""
+    sweep = with_sound(2, 1.0)
+    model, given, state = begun(sweep)
+    scatter = Scatter(0.01, FIRST_WALK)
+    places = []
+    for _ in range(5):
+        end = one_round(model, given, state, scatter, 30)
+        state = end.state
+        places.append(Optimum.of(model, end))
+    for one, other in pairwise(places[1:]):
+        moved = np.abs(one.logs - other.logs) / np.sqrt(np.diag(one.covariance))
+        # A search ends where a step gains less than what one standard error costs.
+        assert moved.max() < 0.5
+        assert abs(other.log_evidence - one.log_evidence) < 0.5

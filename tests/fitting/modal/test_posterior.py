@@ -19,8 +19,8 @@ def test_the_covariance_is_that_of_all_unknowns_together():
     found = posterior.of_combinations(rows[:, :5], rows[:, 5:])
     assert found == pytest.approx(2 * rows @ inverse @ rows.T, rel=1e-6)
     assert posterior.log_magnitude == pytest.approx(2 * inverse[5:7, 5:7], rel=1e-6)
-    assert posterior.common_mode(2) == pytest.approx(2 * inverse[3:5, 3:5], rel=1e-6)
-    assert posterior.common_mode(0).shape == (0, 0)
+    assert posterior.shared(2) == pytest.approx(2 * inverse[3:5, 3:5], rel=1e-6)
+    assert posterior.shared(0).shape == (0, 0)
 
 
 def true_displacements(sweep):

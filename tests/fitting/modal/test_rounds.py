@@ -12,7 +12,7 @@ from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.fit import Search, _compared, _model
 from fitting.modal.model import TAIL_TERMS, Prior, rescaled, stage_prior
 from fitting.modal.noise import noise_of
-from fitting.modal.out_of_phase import drift_with_losses, expected_shift
+from fitting.modal.out_of_phase import expected_shared, shared_drift
 from fitting.modal.rounds import LAST, Given, Optimum, Scatter, one_round, probabilities
 from tests.fitting.modal.test_fit import DRIVE_HZ, planted
 
@@ -27,8 +27,8 @@ def begun(sweep, factor=1.0, inflation=1.0):
     """
     displacements = sweep.displacements
     model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz)
-    drift = drift_with_losses(displacements)
-    state, scale = first_state(model, displacements, expected_shift(drift))
+    drift = shared_drift(displacements)
+    state, scale = first_state(model, displacements, expected_shared(drift))
     x, active, powers = state.x.copy(), len(model.active), model.powers.shape[1]
     x[:active, : 2 * powers] *= factor
     x[active + model.passive, active : active + 2 * TAIL_TERMS] *= factor

@@ -885,6 +885,17 @@ def test_nothing_is_gained_by_beginning_again_at_the_end(point, monkeypatch):
     assert end.cost - again.cost < 1e-4 * (start - end.cost)
 
 
+def test_the_scatter_that_another_ripple_left_does_not_matter(point):
+    scatter = 3.0 * (np.arange(len(point.state.log_drive)) % 3 == 0)
+    other = replace(point.state, scatter=scatter)
+    ends = [
+        minimise_cost(point.model, point.data, point.prior, start, 2)
+        for start in (point.state, other)
+    ]
+    assert np.array_equal(ends[0].x, ends[1].x)
+    assert np.array_equal(ends[0].scatter, ends[1].scatter)
+
+
 def test_a_step_that_overflows_is_cut(point):
     """Log losses that would run away, as in a valley without an end."""
     far = point.state.x.copy()

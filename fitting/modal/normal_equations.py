@@ -266,21 +266,18 @@ def _by_own(model: Model, at: Evaluation, layout: "_Layout", pull: Array) -> Arr
     """
     state, now, active, vectors = at.state, at.terms, model.active, layout.vectors
     own = scalars(model, state, now)[:, layout.own_v, layout.own_p].T
-    others = np.zeros((len(model.hz), vectors, layout.slots), complex)
-    others[:, : len(active), layout.logs] = np.stack(_by_sound_of_others(model, at), axis=2)
-    by_others = others[:, layout.own_v, layout.own_p].T
     force = pull[:vectors] - 1j * pull[vectors:]
     on_modes = force[len(active) :].T.copy()
     on_modes[:, active] = force[: len(active)].T
     shear, sound = state.out_of_phase
-    more = 1j * shear * on_modes @ model.loss_mixing.T
-    sounding = now.resonance * on_modes
-    more -= 1j * sound * (sounding[:, None] @ model.sound)[:, 0]
-    whole = force.copy()
-    whole[: len(active)] += more.T[active]
-    whole[len(active) :] += more.T
-    acting = own * whole[layout.own_v] + by_others * force[layout.own_v]
-    slopes: Array = np.sum(acting.real, axis=1)
+    sounding = ((now.resonance * on_modes)[:, None] @ model.sound)[:, 0]
+    more = 1j * (shear * on_modes @ model.loss_mixing.T - sound * sounding).T
+    whole = force + np.concatenate([more[active], more])
+    slopes: Array = np.sum((own * whole[layout.own_v]).real, axis=1)
+    for slot, by_others in enumerate(_by_sound_of_others(model, at), start=layout.logs.start):
+        which = np.flatnonzero((layout.own_p == slot) & (layout.own_v < len(active)))
+        modes = layout.own_v[which]
+        slopes[which] += np.sum((by_others.T * force[: len(active)]).real, axis=1)[modes]
     return slopes
 
 

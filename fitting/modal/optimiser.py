@@ -1,4 +1,4 @@
-"""Minimise the cost of the joint model by Levenberg-Marquardt steps.
+"""Minimise the cost of the joint model by Levenberg-Marquardt steps, each followed by L-BFGS steps.
 
 Drive and participations have a nearly free common factor, and so have participations and mixing of
 weak modes: the cost is a long valley. In the coordinates of the parameters it is curved, and steps
@@ -6,6 +6,10 @@ stay short. Steps therefore multiply: the inverse of the drive moves in proporti
 participations, and the product of mixing and participation in proportion to the mixing. Then the
 valley is straight. Along it the cost bends 10⁷ times less than across it, which takes numbers of
 double precision.
+
+Most of the time is spent on the normal equations; gradients are cheap. The factored equations are
+therefore used for some further steps, as the initial Hessian of L-BFGS (J. Nocedal, S. J. Wright,
+Numerical Optimization, 2nd ed., algorithm 7.4).
 """
 
 import contextlib
@@ -31,9 +35,10 @@ from fitting.modal.normal_equations import (
 )
 from holography.arrays import Array
 
-# Damping, relative to the diagonal: first, least and largest. It falls to a fifth after a step that
-# gains more than a quarter of what the equations predict, and is doubled after any other
-# (D. W. Marquardt 1963, SIAM Journal 11:431).
+# Damping, relative to the diagonal (D. W. Marquardt 1963, SIAM Journal 11:431): first, least and
+# largest. It falls to a fifth after a step that gains more than a quarter of what the equations
+# predict, and is doubled after a smaller gain. Chosen: they decide how long a search takes, and not
+# where it ends.
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-10, 1e8
 _LESS, _MORE, _FAR_MORE, _GOOD = 5.0, 2.0, 8.0, 0.25
 # Added to the diagonal of a matrix of unit diagonal: more than its rounding.
@@ -47,7 +52,8 @@ _FOLLOWING, _REMEMBERED = 12, 12
 _SUFFICIENT, _CUT, _SHORTEST = 1e-4, 3.0, 1e-2
 # Largest change of the inverse of a drive, towards zero: a factor of e.
 _MOST_LOUDER = 1 - np.exp(-1)
-# ... and limits of the factor by which a step multiplies a participation, for its mixing.
+# ... and limits of the factor by which a step multiplies a participation, for its mixing. Chosen:
+# where a participation changes sign, a product says nothing.
 _GROWTH = 0.5, 2.0
 
 

@@ -172,12 +172,13 @@ _LOUDER = 1.5
 def carrier_floor(carriers: Sequence[CarrierReading]) -> Array:
     """Return the apparent carrier (c,) where none leaks in: noise, and a reed that moves.
 
-    Reeds move in proportion to the volts; what leaks in is as large at all levels.
+    Reeds move in proportion to the volts; what leaks in is as large at all levels. A campaign
+    without light at rest has no carriers.
     """
     volts = np.array([c.volts for c in carriers])
     noise = _NOISE * np.array([c.error for c in carriers])
     moves = _MOVES
-    if volts.max() > _LOUDER * volts.min():
+    if volts.size and volts.max() > _LOUDER * volts.min():
         square = np.array([c.share for c in carriers]) ** 2 - noise**2
         columns = np.stack([np.ones_like(volts), volts**2], axis=1)
         # Shares are known within a share of themselves, and so are their squares.

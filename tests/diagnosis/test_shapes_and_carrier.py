@@ -136,6 +136,10 @@ def test_leaks_count_by_what_moves_in_a_sweep() -> None:
     assert leaks_in(carriers(0.02), sweeps, 0.05).carrier["up"] < 0.5 * some.carrier["up"]
 
 
+def test_without_light_at_rest_nothing_is_known_to_leak_in() -> None:
+    assert leaks_in([], [], 0.0) == Leaks({}, 0.0)
+
+
 # A small image: reed, clamp from 10 mm on, and speckle that nothing moves.
 X_M, Y_M = np.linspace(0, 10e-3, 60), np.linspace(-5e-3, 5e-3, 31)
 AWAY = (10e-3 - X_M) / 10e-3

@@ -333,7 +333,8 @@ def bench_parameters(
     """Return the parameters of a simulated bench, with the whole sensor.
 
     The bench gets the disorder of ``twin:``, then the effects that the bench file lists under
-    ``known:``, and then those of ``twin:``.
+    ``known:``, and then those of ``twin:``. An effect that is under both has the sizes of
+    ``twin:``: these are what the bench has, and the others what is known of it.
 
     Parameters
     ----------
@@ -367,7 +368,8 @@ def bench_parameters(
     )
     drawn = _as_drawn(nominal, simulation, _cane(simulation, bench_file, preparation))
     drawn = bench_disorder(simulation, bench_file.name, preparation).applied(drawn)
-    known = with_effects(drawn, known_effects(bench_file), f"{bench_file.source}: known")
+    effects = {k: v for k, v in known_effects(bench_file).items() if k not in simulation.effects}
+    known = with_effects(drawn, effects, f"{bench_file.source}: known")
     return with_effects(known, simulation.effects, f"{bench_file.source}: twin.effects")
 
 

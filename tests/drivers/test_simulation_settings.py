@@ -247,3 +247,18 @@ def test_components_outside_physics_are_refused(small_bench_file):
 
 def test_nothing_said_is_nominal():
     assert read_simulation({}, "mine") == Simulation()
+
+
+def test_an_effect_that_is_played_and_known_is_played_once(small_bench_file):
+    preparation = Preparation("R07", "A", "asymmetric")
+
+    def leak(known):
+        bench_file = small_bench_file(effects={"carrier_leak": {"fraction": 0.3}}).replace(
+            {"known": known}
+        )
+        settings = read_simulation(bench_file.twin, bench_file.name)
+        return bench_parameters(settings, bench_file, preparation).optics.interference
+
+    played = leak({})
+    assert leak({"carrier_leak": {"fraction": "0.25 ± 0.1"}}) == played
+    assert leak({"laser_power_drift": {"loss_rate": "0.3 1/h"}}) != played

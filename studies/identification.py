@@ -8,7 +8,7 @@ nothing to be identified.
 
     python -m studies.identification [--folder DIR] [--reeds N] [--jobs N] [--json]
 
-Runs that are in the folder already are not made again.
+Runs and fits that are in the folder already are not made again: a fit is ``<run>.judged.json``.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from pydantic import TypeAdapter
 
 from acquire.runner.runner import run
 from drivers.registry import open_bench
@@ -114,6 +115,17 @@ def judge(path: Path) -> Judged:
         end_s - middle_s,
         sweep.drive_peaks,
     )
+
+
+def _kept_or_judged(path: Path) -> Judged:
+    """Read what an earlier call kept of this run, or fit the run and keep it."""
+    kept = path.with_suffix(".judged.json")
+    fields = TypeAdapter(Judged)
+    if kept.exists():
+        return fields.validate_json(kept.read_bytes())
+    judged = judge(path)
+    kept.write_bytes(fields.dump_json(judged, indent=1))
+    return judged
 
 
 def _by_library(joint: JointFit, expected_hz: Mapping[str, float]) -> dict[str, float]:
@@ -340,7 +352,7 @@ def benchmark(folder: Path, reeds: int, jobs: int) -> dict[str, Any]:
     judged = []
     for number, each in enumerate(wanted, 1):
         print(f"\rfitting run {number} of {len(wanted)}", end="", file=sys.stderr, flush=True)
-        judged.append(judge(each.path))
+        judged.append(_kept_or_judged(each.path))
     print(file=sys.stderr)
     with tempfile.TemporaryDirectory() as place:
         return {**summary(judged), "nothing": judge_nothing(Path(place))}

@@ -1,15 +1,17 @@
 """Diagnose from Python: where measurement and simulation differ, and why."""
 
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from acquire.adopting import require_adoptable, write_known
 from acquire.measurement import bench_file
 from acquire.results.diagnosis import DiagnosisResult, ResonanceDiagnosisResult
 from acquire.runner.callbacks import Announce, Progress, ignore
 from diagnosis.campaign import Campaign
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.campaign_diagnosis import diagnose as judge
-from diagnosis.known_bench import bench_of, only_once, with_known_effects
+from diagnosis.known_bench import bench_of, known_effects_of
 from diagnosis.mean_reed import printed_reeds, tabled_reeds
 from diagnosis.observe import read
 from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonances
@@ -22,7 +24,7 @@ from physics.reed.reduced.stored import reduced_reed
 from protocols.bench import BenchFile
 from reports.diagnosis_page import page_output, write_page
 from reports.next_campaign import next_outputs, require_repeatable, write_next
-from reports.own_output import require_writable
+from reports.own_output import Output, require_writable
 from runs.reader import Run
 
 
@@ -31,6 +33,7 @@ def diagnose(
     bench: str | Path | BenchFile | None = None,
     out: str | Path | None = None,
     next_campaign: str | Path | None = None,
+    adopt: str | Path | None = None,
     announce: Announce = ignore,
     progress: Progress = ignore,
 ) -> DiagnosisResult:
@@ -41,11 +44,14 @@ def diagnose(
     *runs : str or path
         Run files of one reed in one series, or folders of run files.
     bench : str, path or BenchFile, optional
-        Bench file whose section ``known:`` lists known effects; by default, that in the runs.
+        Bench file whose section ``known:`` lists known effects; by default that of `adopt`, or
+        else that in the runs.
     out : str or path, optional
         HTML page to write.
     next_campaign : str or path, optional
         Campaign file to write, which would best separate the likeliest causes.
+    adopt : str or path, optional
+        Bench file of the runs. The effects that are named are written into its section ``known:``.
     announce, progress : callable, optional
 
     Returns
@@ -60,30 +66,61 @@ def diagnose(
         If no reed of the kind is near what the runs show.
     OutputRefusedError
         If a file would replace one that is not of the same kind.
+    UsageError
+        If effects cannot be written into the bench file `adopt`.
     """
-    described = bench if bench is None or isinstance(bench, BenchFile) else bench_file(bench)
+    bench = adopt if bench is None else bench
+    described = None if bench is None else bench_file(bench)
     files = [file for path in runs for file in _run_files(Path(path))]
     if not files:
         raise FitInputError("no data: give run files or folders of run files")
-    page = None if out is None else Path(out)
-    following = None if next_campaign is None else Path(next_campaign)
-    outputs = [] if page is None else [page_output(page)]
-    outputs += [] if following is None else next_outputs(following)
+    outputs = _Outputs(
+        *(None if each is None else Path(each) for each in (out, next_campaign, adopt))
+    )
     bench_files = [Path(bench)] if isinstance(bench, str | Path) else []
-    require_writable(outputs, [*files, *bench_files])
+    require_writable(outputs.made(), [*files, *bench_files])
     with ExitStack() as opened:
         campaign = Campaign.of([opened.enter_context(Run.open(file)) for file in files])
         first = campaign.sweeps[0].run
-        if following is not None:
-            require_repeatable(first, following)
+        outputs.require_suited(first, described)
         verdict = _verdict(campaign, described, announce, progress)
         result = DiagnosisResult(verdict, tuple(files), first.reed)
         protocol_text = first.protocol_text
-    if page is not None:
-        write_page(verdict, result.title, page, [file.name for file in files])
-    if following is not None:
-        write_next(verdict.next_experiments, verdict.compared, protocol_text, first.reed, following)
-    return result
+    return outputs.written(result, protocol_text)
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """Files that a diagnosis writes; None for what was not asked for."""
+
+    page: Path | None
+    following: Path | None
+    bench: Path | None
+
+    def made(self) -> list[Output]:
+        """Return the files that are made, of which the bench file is none."""
+        page = [] if self.page is None else [page_output(self.page)]
+        return page if self.following is None else [*page, *next_outputs(self.following)]
+
+    def require_suited(self, first: Run, used: BenchFile | None) -> None:
+        """Refuse what cannot be written for these runs."""
+        if self.following is not None:
+            require_repeatable(first, self.following)
+        if self.bench is not None:
+            require_adoptable(self.bench, used, bench_of(first))
+
+    def written(self, result: DiagnosisResult, protocol_text: str) -> DiagnosisResult:
+        """Write everything, and return the result with what the bench file has got."""
+        verdict, runs = result.verdict, [file.name for file in result.runs]
+        if self.page is not None:
+            write_page(verdict, result.title, self.page, runs)
+        if self.following is not None:
+            best = verdict.next_experiments
+            write_next(best, verdict.compared, protocol_text, result.reed, self.following)
+        if self.bench is None:
+            return result
+        # Last: the file may have got the same effect meanwhile, and nothing else is lost then.
+        return replace(result, adopted=write_known(verdict, self.bench, result.reed))
 
 
 def _verdict(
@@ -91,7 +128,7 @@ def _verdict(
 ) -> Diagnosis:
     """Fit the sweeps of a campaign, then the causes."""
     first = campaign.sweeps[0].run
-    described = bench or bench_of(first)
+    described, known = bench or bench_of(first), known_effects_of(first, bench)
     geometry = first.reed_file().geometry()
     if not is_even(geometry):
         raise FitError(
@@ -104,9 +141,9 @@ def _verdict(
         return judge(
             readings,
             solver,
-            with_known_effects(readings.nominal, described),
+            readings.nominal,
+            known,
             lambda done: progress("fitting causes", done),
-            only_once(described),
         )
     except ImpossibleReedError as error:
         raise FitError(

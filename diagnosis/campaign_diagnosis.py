@@ -13,11 +13,12 @@ from diagnosis.experiment_design import RankedExperiment, rank_experiments
 from diagnosis.explained_fraction import (
     ExplainedFraction,
     GapInUnits,
+    KnownGap,
     explained_fraction,
     gaps_in_units,
 )
 from diagnosis.gap_map import GapMap, gap_map
-from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies
 from diagnosis.inference.model_selection import (
     ModelSelection,
@@ -31,10 +32,12 @@ from diagnosis.inference.predictive_checks import PredictiveCheck, predictive_ch
 from diagnosis.inference.probabilities import NONE, UNKNOWN
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.inference.similarity import Detectability, confusable_classes, detectability_of
+from diagnosis.known_bench import KnownEffects, only_once
 from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Stage
+from physics.effects.sized import SizedEffect
 from physics.mechanics import ReedSolver, YieldingClamp
 from physics.parameters.tree import BenchParameters, with_alteration
 
@@ -90,6 +93,8 @@ class Diagnosis:
         The same on all numbers, for each candidate that is better than none.
     gaps_in_units : tuple of GapInUnits
         The same gap in familiar units.
+    known : KnownGap or None
+        What the known effects of the bench explain; None if it has none.
     condition : str
         Name of that sweep.
     next_experiments : tuple of RankedExperiment
@@ -118,6 +123,7 @@ class Diagnosis:
     explained_other_sweep: ExplainedFraction | None
     explained_by: dict[str, ExplainedFraction]
     gaps_in_units: tuple[GapInUnits, ...]
+    known: KnownGap | None
     condition: str
     next_experiments: tuple[RankedExperiment, ...]
     compared: tuple[str, str]
@@ -129,8 +135,8 @@ def diagnose(
     readings: Readings,
     reed_solver: ReedSolver,
     base: BenchParameters | None = None,
+    known: KnownEffects | None = None,
     progress: Callable[[float], None] | None = None,
-    without: Sequence[str] = (),
 ) -> Diagnosis:
     """Diagnose a campaign.
 
@@ -140,15 +146,18 @@ def diagnose(
     reed_solver : ReedSolver
         Of the kind of reed.
     base : BenchParameters, optional
-        Model with what is known of the bench; by default the nominal one.
+        Model with what is known of the bench, but for effects; by default the nominal one.
+    known : KnownEffects, optional
+        Effects that the bench is known to have; by default none.
     progress : callable, optional
         Called with the fraction that is done.
-    without : sequence of str
-        Identifiers of effects that are not tried.
     """
-    problem = inference_problem(readings, reed_solver, base or BenchParameters())
-    summary = CampaignSummary(condition_of(readings), readings.missing, readings.refused)
-    return diagnose_problem(problem, summary, progress, without)
+    known = known or KnownEffects()
+    problem = inference_problem(readings, reed_solver, base or BenchParameters(), known.effects)
+    summary = CampaignSummary(
+        condition_of(readings), readings.missing, readings.refused, known.foreseen
+    )
+    return diagnose_problem(problem, summary, progress, only_once(known.effects))
 
 
 @dataclass(frozen=True)
@@ -160,11 +169,14 @@ class CampaignSummary:
     condition : str
         Sweep that is left out completely; empty if there is none.
     missing, refused : tuple of str
+    foreseen : bool
+        Whether known effects were known before the campaign was measured.
     """
 
     condition: str = ""
     missing: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
+    foreseen: bool = False
 
 
 def diagnose_problem(
@@ -229,6 +241,7 @@ def _judged(
             for name, candidate in _better(found).items()
         },
         gaps_in_units=tuple(gaps_in_units(problem, found.null, chosen)),
+        known=known_gap(problem, found.null, summary.foreseen) if problem.known else None,
         condition=condition,
         next_experiments=tuple(rank_experiments(problem, first, second))
         if first and second
@@ -245,15 +258,42 @@ def _likeliest_group(problem: InferenceProblem, candidate: Candidate) -> str:
     return max(factors, key=lambda name: factors[name])
 
 
+def known_gap(problem: InferenceProblem, null: Candidate, foreseen: bool) -> KnownGap:
+    """Return how much of the gap the known effects explain, of a problem that has some.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    null : Candidate
+        Its fit without further effects.
+    foreseen : bool
+        See `KnownGap`.
+    """
+    bare = problem.without_known()
+    count = len(bare.nuisances)
+    without = without_effects(bare, [np.zeros(count), null.estimate.z[:count]])
+    moved = null.whitened_residual - bare.residuals(bare.parameters(null.estimate.z[:count]))
+    acts = (np.abs(without.whitened_residual) > _OFF) | (np.abs(moved) > _MOVED)
+    return KnownGap(
+        problem.known,
+        foreseen,
+        explained_fraction(without, null, _where(_groups(problem), acts)),
+        tuple(gaps_in_units(problem, without, null)),
+    )
+
+
 def inference_problem(
-    readings: Readings, reed_solver: ReedSolver, base: BenchParameters
+    readings: Readings,
+    reed_solver: ReedSolver,
+    base: BenchParameters,
+    known: Sequence[SizedEffect] = (),
 ) -> InferenceProblem:
     """Return the inference problem of a campaign, with all nuisances.
 
     No clamp is rigid: the nominal one yields as an ordinary clamp does.
     """
     clamped = with_alteration(base, YieldingClamp(), USUAL_COMPLIANCE_M_PA)
-    return InferenceProblem(observable_groups(readings, reed_solver), clamped, NUISANCES)
+    return InferenceProblem(observable_groups(readings, reed_solver), clamped, NUISANCES, known)
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import residual_covariance
 from diagnosis.inference.problem import InferenceProblem
+from physics.effects.sized import SizedEffect
 
 _DRAWS = 2000
 # A gap that chance makes more often than this is not resolvable.
@@ -80,6 +81,27 @@ def explained_fraction(
         else (np.nan, np.nan)
     )
     return ExplainedFraction(before, after, floor, kappa, float(low), float(high))
+
+
+@dataclass(frozen=True)
+class KnownGap:
+    """How much of the gap the known effects of a bench explain in a campaign.
+
+    Attributes
+    ----------
+    effects : tuple of SizedEffect
+    foreseen : bool
+        Whether the bench file had them before the campaign was measured, so that the campaign was
+        not used to find them.
+    explained : ExplainedFraction
+        Without and with them, on numbers left out of the fit.
+    in_units : tuple of GapInUnits
+    """
+
+    effects: tuple[SizedEffect, ...]
+    foreseen: bool
+    explained: ExplainedFraction
+    in_units: tuple["GapInUnits", ...]
 
 
 # Familiar quantities: name and factor from the unit of the group, by the quantity of coordinates.

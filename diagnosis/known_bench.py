@@ -1,8 +1,9 @@
 """What is known of a bench before its diagnosis: what its files say, and effects it surely has."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from physics.effects.catalogue import BY_ID
+from physics.effects.sized import SizedEffect
 from physics.parameters.optics import Layout
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
@@ -11,7 +12,7 @@ from protocols.bench_parameters import (
     known_effects,
     nominal_parameters,
     sensor_of_camera,
-    with_effects,
+    sized_effects,
 )
 from protocols.errors import ProtocolError
 from runs.reader import Run
@@ -45,24 +46,45 @@ def parameters_of(run: Run, bench: BenchFile | None) -> BenchParameters:
     )
 
 
-def with_known_effects(parameters: BenchParameters, bench: BenchFile | None) -> BenchParameters:
-    """Return parameters with the effects that a bench file lists under ``known:``.
+@dataclass(frozen=True)
+class KnownEffects:
+    """Effects that a bench is known to have.
+
+    Attributes
+    ----------
+    effects : tuple of SizedEffect
+    foreseen : bool
+        Whether they were known before the runs were measured: the bench file in the runs has them.
+    """
+
+    effects: tuple[SizedEffect, ...] = ()
+    foreseen: bool = False
+
+
+def known_effects_of(run: Run, bench: BenchFile | None = None) -> KnownEffects:
+    """Return the effects that a bench file lists under ``known:``.
+
+    Parameters
+    ----------
+    run : Run
+        First sweep of a campaign.
+    bench : BenchFile, optional
+        By default, the one that the run carries.
 
     Raises
     ------
     ProtocolError
         If there is no such effect or size, or a size has another unit.
     """
-    source = bench.source if bench else ""
-    return with_effects(parameters, known_effects(bench), f"{source}: known")
+    own = bench_of(run)
+    described = bench or own
+    listed = known_effects(described)
+    source = described.source if described else ""
+    return KnownEffects(
+        sized_effects(listed, f"{source}: known"), foreseen=listed == known_effects(own)
+    )
 
 
-def only_once(bench: BenchFile | None) -> tuple[str, ...]:
-    """Return the effects that a bench states and that a model cannot have twice.
-
-    Parameters
-    ----------
-    bench : BenchFile or None
-        Whose effects are all in the catalogue.
-    """
-    return tuple(name for name in known_effects(bench) if BY_ID[name].unique)
+def only_once(known: Sequence[SizedEffect]) -> tuple[str, ...]:
+    """Return those of the known effects that a model cannot have twice."""
+    return tuple(sized.effect.id for sized in known if sized.effect.unique)

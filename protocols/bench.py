@@ -221,8 +221,9 @@ class BenchFile(Description):
     twin: Annotated[dict[str, Any], Field(default_factory=dict)]
     """Settings of the simulated bench, which checks them."""
     known: dict[str, dict[str, float | str]] | None = None
-    """Effects that this bench is known to have, by name, with their parameters. A diagnosis checks
-    them and includes them in its model."""
+    """Effects that this bench is known to have, by name, with their parameters, such as
+    ``{air_load: {fraction: 0.3 ± 0.1}}``. A diagnosis checks them and includes them in its model;
+    sizes with a standard error can then differ from what is written here."""
 
     @field_validator("optics")
     @classmethod

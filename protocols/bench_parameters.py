@@ -1,11 +1,14 @@
 """The parameter tree of a described bench: what its files say, and the effects that it has."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Final
 
 from physics.effects.catalogue import BY_ID
-from physics.effects.effect import Effect, Parameter
+from physics.effects.effect import Parameter
+from physics.effects.sized import SizedEffect
 from physics.mechanics import Mechanics
 from physics.parameters.chamber import Filling, chamber_of
 from physics.parameters.drive import AcousticResonance, Drive
@@ -23,6 +26,7 @@ Sizes = Mapping[str, float | str]
 
 # Units that may be written with prefixes, such as "5 um".
 _PREFIXED = ("Hz", "m", "rad", "s")
+_PLUS_MINUS: Final = re.compile(r"±|\+/?-")
 
 
 def nominal_parameters(
@@ -80,7 +84,7 @@ def with_effects(
     ----------
     parameters : BenchParameters
     effects : mapping
-        Sizes by the identifier of each effect.
+        Sizes by the identifier of each effect; a standard error changes nothing here.
     source : str
         File and key that they are from, such as ``lab.yaml: known``.
 
@@ -89,41 +93,91 @@ def with_effects(
     ProtocolError
         If there is no such effect or size, or a size has another unit.
     """
-    for name, sizes in effects.items():
-        effect = BY_ID.get(name)
-        if effect is None:
-            raise ProtocolError(
-                f"{source}.{name} is not a known effect; `acquire effects` lists them"
-            )
-        parameters = effect.change(parameters, _values(effect, sizes, f"{source}.{name}"))
+    for sized in sized_effects(effects, source):
+        parameters = sized.change(parameters)
     return parameters
 
 
-def _values(effect: Effect, sizes: Sizes, source: str) -> dict[str, float]:
-    """Return all parameters of an effect; those not given are 0, or in the middle of their grid."""
+def sized_effects(effects: Mapping[str, Sizes], source: str) -> tuple[SizedEffect, ...]:
+    """Return effects with the sizes that a file gives them, and their standard errors.
+
+    Parameters
+    ----------
+    effects : mapping
+        Sizes by the identifier of each effect, such as ``{"air_load": {"fraction": "0.3 ± 0.1"}}``.
+    source : str
+        File and key that they are from, such as ``lab.yaml: known``.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such effect or size, or a size has another unit.
+    """
+    return tuple(_sized(name, sizes, f"{source}.{name}") for name, sizes in effects.items())
+
+
+def _sized(name: str, sizes: Sizes, source: str) -> SizedEffect:
+    """Return one effect; sizes not given are 0, or in the middle of their grid."""
+    effect = BY_ID.get(name)
+    if effect is None:
+        raise ProtocolError(f"{source} is not a known effect; `acquire effects` lists them")
     values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.0 for p in effect.parameters}
+    errors: dict[str, float] = {}
     by_name = {parameter.name: parameter for parameter in effect.parameters}
-    for name, text in sizes.items():
-        if name not in by_name:
-            raise ProtocolError(f"{source}.{name} is no size of it; it has {', '.join(by_name)}")
+    for size, text in sizes.items():
+        if size not in by_name:
+            raise ProtocolError(f"{source}.{size} is no size of it; it has {', '.join(by_name)}")
         try:
-            values[name] = _value(by_name[name], text)
-        except ValueError as error:
-            raise ProtocolError(f"{source}.{name}: {error}") from None
-    return values
+            values[size], error = _value(by_name[size], text)
+        except ValueError as wrong:
+            raise ProtocolError(f"{source}.{size}: {wrong}") from None
+        if error:
+            errors[size] = error
+    return SizedEffect(effect, values, errors)
 
 
-def _value(parameter: Parameter, text: float | str) -> float:
-    """Size of a parameter, as it may be."""
-    value = number_in(parameter.unit, text)
-    if not math.isfinite(value):
+def _value(parameter: Parameter, text: float | str) -> tuple[float, float]:
+    """Return the size of a parameter, as it may be, and its standard error."""
+    value, error = number_with_error_in(parameter.unit, text)
+    if not (math.isfinite(value) and math.isfinite(error)):
         raise ValueError(f"{text!r} is no size")
     if parameter.positive and value < 0:
         raise ValueError(f"{text!r} is negative, which this size cannot be")
     if parameter.grid and not min(parameter.grid) <= value <= max(parameter.grid):
         limits = f"{min(parameter.grid):g} to {max(parameter.grid):g} {parameter.unit}".strip()
         raise ValueError(f"{text!r} is outside its range; choose a value from {limits}")
-    return value
+    if parameter.grid and error:
+        raise ValueError(f"{text!r} has a standard error, which this parameter cannot have")
+    return value, error
+
+
+def number_with_error_in(unit: str, text: object) -> tuple[float, float]:
+    """Return a number that a file gives with its unit, and its standard error; 0 if it has none.
+
+    Parameters
+    ----------
+    unit : str
+        Empty for a plain number.
+    text : object
+        A plain number, or a text such as ``5 um`` or ``5 ± 1 um``; ``+-`` is read as ``±``.
+
+    Raises
+    ------
+    ValueError
+        If it has another unit, is no number, or the error is not positive; the message says what
+        to write.
+    """
+    if not isinstance(text, str) or not (signs := _PLUS_MINUS.findall(text)):
+        return number_in(unit, text), 0.0
+    value, _, spread = text.partition(signs[0])
+    written = spread.strip().partition(" ")[2]
+    error = number_in(unit, spread.strip())
+    if len(signs) > 1 or error <= 0:
+        raise ValueError(
+            f"{shown_value(text)} is no number with a standard error; write for example "
+            f"'{f'5 ± 1 {unit}'.strip()}'"
+        )
+    return number_in(unit, f"{value.strip()} {written}".strip()), error
 
 
 def number_in(unit: str, text: object) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from diagnosis.campaign_diagnosis import Diagnosis
-from diagnosis.explained_fraction import ExplainedFraction
+from diagnosis.explained_fraction import ExplainedFraction, KnownGap
 from diagnosis.inference.candidates import d_prime
 from physics.effects.effect import Parameter
 
@@ -28,6 +28,7 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
         "likeliest_range": list(verdict.likeliest_range),
         "gap": _gap(verdict),
         "explained_fraction": _explained(verdict),
+        "known": _known(verdict.known),
         "next": {
             "between": list(verdict.compared),
             "experiments": [
@@ -95,6 +96,27 @@ def _explained(verdict: Diagnosis) -> dict[str, Any]:
         "other_condition": _fraction(verdict.explained_other_sweep),
         "by": {name: _fraction(closed) for name, closed in verdict.explained_by.items()},
         "in_units": [asdict(entry) for entry in verdict.gaps_in_units],
+    }
+
+
+def _known(known: KnownGap | None) -> dict[str, Any] | None:
+    if known is None:
+        return None
+    return {
+        "effects": {
+            sized.effect.id: {
+                p.name: {
+                    "value": sized.values[p.name],
+                    "error": sized.errors.get(p.name, 0.0),
+                    "unit": p.unit,
+                }
+                for p in sized.effect.parameters
+            }
+            for sized in known.effects
+        },
+        "before_the_runs": known.foreseen,
+        "explained_fraction": _fraction(known.explained),
+        "in_units": [asdict(entry) for entry in known.in_units],
     }
 
 

@@ -8,10 +8,11 @@ from typing import Final
 
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.effect_notes import notes_of
-from diagnosis.explained_fraction import ExplainedFraction
+from diagnosis.explained_fraction import ExplainedFraction, GapInUnits, KnownGap
 from diagnosis.gap_map import GapMap
 from diagnosis.observable_groups import Observable
 from physics.effects.catalogue import BY_ID
+from protocols.yaml_files.insertion import Entry
 from reports.figures.drawing import png_of
 from reports.figures.gap_map import draw_map
 from reports.own_output import Output, page_kind, write_output
@@ -55,6 +56,8 @@ def words(verdict: Diagnosis) -> list[str]:
         )
     if verdict.explained is not None and verdict.effects:
         said.append(f"{_closed_words(verdict)} {_NOT_PROOF}")
+    if verdict.known is not None:
+        said.append(_known_words(verdict.known))
     if verdict.next_experiments:
         said.append(_next_words(verdict))
     said += [f"Not measured: {what}." for what in verdict.missing]
@@ -125,6 +128,19 @@ def _closed_words(verdict: Diagnosis) -> str:
     return said + "."
 
 
+def _known_words(known: KnownGap) -> str:
+    names = " and ".join(sized.effect.title for sized in known.effects)
+    used = (
+        "which were measured after these effects were written into the bench file"
+        if known.foreseen
+        else "which may have been used to find them"
+    )
+    return (
+        f"Known effects of this bench ({names}) explain {_fraction(known.explained)} of the "
+        f"difference in these runs, {used}."
+    )
+
+
 def _next_words(verdict: Diagnosis) -> str:
     best = verdict.next_experiments[0]
     if best.expected_nats < _LEAST_NATS:
@@ -142,6 +158,21 @@ def _fraction(closed: ExplainedFraction | None) -> str:
     # A residual below its standard error would give more than 100 %.
     kappa, low, high = (min(share, 1.0) for share in (closed.fraction, closed.low, closed.high))
     return f"{kappa:.0%}" if math.isnan(low) else f"{kappa:.0%} [{low:.0%}, {high:.0%}]"
+
+
+def adopted_words(adopted: Mapping[str, Entry], bench: Path) -> str:
+    """Return what was written into a bench file, as a sentence."""
+    if not adopted:
+        return f"Nothing was written into {bench}, because no cause is named."
+    written = "; ".join(
+        f"{_title(name)}: " + ", ".join(f"{size} {text}" for size, text in entry.items())
+        for name, entry in adopted.items()
+    )
+    return (
+        f"Written into {bench} under known: {written}. Measure the next campaign with this file: "
+        "its diagnosis says how much of the difference this explains in runs that were not used "
+        "to find it."
+    )
 
 
 def page_output(page: Path) -> Output:
@@ -188,6 +219,7 @@ def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
         _where_section(verdict.gap),
         _Section("Likeliest causes", (_causes(verdict), _triggers(verdict))),
         _Section("How much of the difference is explained", (_plain(verdict),), _NOT_PROOF),
+        *_known_section(verdict.known),
         _Section(
             "What to measure next",
             (_actions(verdict),),
@@ -276,15 +308,26 @@ def _triggers(verdict: Diagnosis) -> Table:
 def _plain(verdict: Diagnosis) -> Table:
     name = "+".join(verdict.effects)
     effect = _title(name) if name else "the effect that explains most"
+    return _gaps_table(verdict.gaps_in_units, "without an effect", f"with {effect}")
+
+
+def _known_section(known: KnownGap | None) -> tuple[_Section, ...]:
+    """Return the gap without and with the known effects of the bench; nothing if it has none."""
+    if known is None:
+        return ()
+    table = _gaps_table(known.in_units, "without known effects", "with known effects")
+    return (_Section("What the known effects explain", (table,), _known_words(known)),)
+
+
+def _gaps_table(gaps: Sequence[GapInUnits], before: str, after: str) -> Table:
     columns = (
         Column("quantity", "residual", meaning="measurement less simulation, root mean square; "
                "of shapes the sum"),
-        Column("before", "without an effect", "", ".3g"),
-        Column("after", f"with {effect}", "", ".3g"),
+        Column("before", before, "", ".3g"),
+        Column("after", after, "", ".3g"),
         Column("error", "standard error", "", ".2g"),
     )  # fmt: skip
-    rows = tuple((gap.quantity, gap.before, gap.after, gap.error) for gap in verdict.gaps_in_units)
-    return Table(columns, rows)
+    return Table(columns, tuple((g.quantity, g.before, g.after, g.error) for g in gaps))
 
 
 def _actions(verdict: Diagnosis) -> Table:

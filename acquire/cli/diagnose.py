@@ -13,16 +13,26 @@ from acquire.cli.app import (
 from acquire.cli.console import messages, results, show_json, show_message
 from acquire.errors import UsageError
 
+RunsOrTable = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="[RUN …]",
+        help="Run files of one reed in one series, folders of run files, or a CSV table of "
+        "resonances of clarinet reeds.",
+    ),
+]
+Adopt = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="BENCH.yaml",
+        help="Bench file of the runs: write the cause that is found into its section known:, with "
+        "size and standard error. The next diagnosis, and the simulated bench, then include it.",
+    ),
+]
+
 
 def diagnose(
-    runs: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="[RUN …]",
-            help="Run files of one reed in one series, folders of run files, or a CSV table of "
-            "resonances of clarinet reeds.",
-        ),
-    ] = None,
+    runs: RunsOrTable = None,
     published: Annotated[
         bool,
         typer.Option("--published", help="Use Table 1 of the paper as data, instead of run files."),
@@ -45,6 +55,7 @@ def diagnose(
             help="Campaign file to write, which would best separate the likeliest causes.",
         ),
     ] = None,
+    adopt: Adopt = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -57,15 +68,15 @@ def diagnose(
     tables = [path for path in runs or () if path.suffix.lower() == ".csv"]
     if published or tables:
         _require_no_runs(runs or [], tables, published)
-        if out or following or bench:
+        if out or following or bench or adopt:
             raise UsageError(
-                "--bench, --out and --next are for runs, not for a table of resonances"
+                "--bench, --out, --next and --adopt are for runs, not for a table of resonances"
             )
         _diagnose_resonances(tables[0] if tables else None, as_json)
         return
     if not runs:
         raise UsageError("no data: give run files, a table of resonances, or --published")
-    _diagnose_runs(runs, bench, out, following, as_json)
+    _diagnose_runs(runs, bench, out, following, adopt, as_json)
 
 
 def _require_no_runs(runs: Sequence[Path], tables: Sequence[Path], published: bool) -> None:
@@ -83,12 +94,13 @@ def _diagnose_runs(
     bench: str | None,
     out: Path | None,
     following: Path | None,
+    adopt: Path | None,
     as_json: bool,
 ) -> None:
     """Diagnose the runs of one campaign."""
     import acquire
     from acquire.cli.display import stage_progress
-    from reports.diagnosis_page import words
+    from reports.diagnosis_page import adopted_words, words
 
     with stage_progress(messages()) as progress:
         found = acquire.diagnose(
@@ -96,6 +108,7 @@ def _diagnose_runs(
             bench=bench,
             out=out,
             next_campaign=following,
+            adopt=adopt,
             announce=show_message,
             progress=progress,
         )
@@ -103,7 +116,10 @@ def _diagnose_runs(
         show_json(found.to_json())
         return
     console = results()
-    for line in words(found.verdict):
+    lines = words(found.verdict)
+    if adopt is not None:
+        lines.append(adopted_words(found.adopted, adopt))
+    for line in lines:
         console.print(line, markup=False, soft_wrap=True)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquire.results.base import Result, label_axes, new_axes
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.resonance_diagnosis import ResonanceDiagnosis
+from protocols.yaml_files.insertion import Entry
 from reports.diagnosis_json import to_json as verdict_to_json
 from reports.plain_text import visible
 from reports.resonance_diagnosis import to_json as resonances_to_json
@@ -28,11 +29,14 @@ class DiagnosisResult(Result):
     runs : tuple of Path
         Run files that were used.
     reed : str
+    adopted : dict
+        What was written into the bench file: sizes by the identifier of each effect.
     """
 
     verdict: Diagnosis
     runs: tuple[Path, ...]
     reed: str
+    adopted: dict[str, Entry] = field(default_factory=dict)
 
     @property
     def probability(self) -> dict[str, float]:
@@ -55,7 +59,8 @@ class DiagnosisResult(Result):
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``acquire diagnose --json`` prints."""
-        return verdict_to_json(self.verdict)
+        adopted = {name: dict(entry) for name, entry in self.adopted.items()}
+        return {**verdict_to_json(self.verdict), "adopted": adopted}
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the probabilities of the eight likeliest causes."""

@@ -22,7 +22,6 @@ from benchmarks.fuzzing.plausibility import (
     require_meant,
     require_plausible,
 )
-from diagnosis.known_bench import only_once
 from diagnosis.mean_reed import tabled_reeds
 from drivers.errors import BenchSetupError
 from drivers.options import read_options
@@ -42,6 +41,7 @@ from physics.errors import ImpossibleReedError
 from physics.parameters.optics import visible_size_m
 from physics.reed.mode_classification import PAPER_MODES
 from protocols.bench import BenchFile
+from protocols.bench_parameters import known_effects, sized_effects
 from protocols.campaign import CampaignFile, tasks_of
 from protocols.plan import make_plan
 from protocols.protocol import Protocol
@@ -108,7 +108,7 @@ def _read_bench(file: Path) -> None:
         # The simulated laboratory says so, with the bench's name.
         raise BenchSetupError(f"bench {bench.name!r}: {error}") from error
     bench_constants(twin, preparation)
-    only_once(bench)
+    sized_effects(known_effects(bench), bench.name)
 
 
 def _read_reed(file: Path) -> None:

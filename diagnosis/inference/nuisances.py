@@ -9,6 +9,7 @@ import numpy as np
 
 from holography.arrays import Array
 from physics.effects.changes import changed
+from physics.effects.sized import SizedEffect
 from physics.mechanics import Layer, RandomLayer, YieldingClamp
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import (
@@ -50,6 +51,24 @@ class Nuisance:
     change: Callable[[BenchParameters, float], BenchParameters]
     source: str
     family: str = ""
+
+
+def uncertain_sizes(known: SizedEffect) -> tuple[Nuisance, ...]:
+    """Return a nuisance for each size of a known effect that has a standard error.
+
+    They change nothing by themselves: `InferenceProblem.parameters` applies the effect with all
+    its sizes.
+    """
+    return tuple(
+        Nuisance(
+            f"{known.effect.id} {size.name}",
+            size.unit,
+            known.errors[size.name],
+            lambda parameters, _value: parameters,
+            "standard error in the bench file",
+        )
+        for size in known.uncertain
+    )
 
 
 def _cane(name: str, spread: float, source: str, family: str) -> Nuisance:

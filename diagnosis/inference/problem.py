@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from diagnosis.inference.linear_model import KNOWN, LinearModel, Scales
-from diagnosis.inference.nuisances import Nuisance
+from diagnosis.inference.nuisances import Nuisance, uncertain_sizes
 from diagnosis.observable_groups import DISORDER, ObservableGroup
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
+from physics.effects.sized import SizedEffect
 from physics.parameters.tree import BenchParameters
 
 _KEPT = 4096
@@ -29,8 +30,11 @@ class InferenceProblem:
     ----------
     groups : sequence of ObservableGroup
     base : BenchParameters
-        What is known of the bench.
+        What is known of the bench, but for its known effects.
     nuisances : sequence of Nuisance
+    known : sequence of SizedEffect
+        Effects that the bench is known to have. Each size with a standard error is one more
+        nuisance, after those given.
     """
 
     def __init__(
@@ -38,8 +42,10 @@ class InferenceProblem:
         blocks: Sequence[ObservableGroup],
         base: BenchParameters,
         nuisances: Sequence[Nuisance],
+        known: Sequence[SizedEffect] = (),
     ) -> None:
-        self.groups, self.base, self.nuisances = tuple(blocks), base, tuple(nuisances)
+        self.groups, self.base, self.known = tuple(blocks), base, tuple(known)
+        self.nuisances = (*nuisances, *(n for effect in known for n in uncertain_sizes(effect)))
         self._left = lru_cache(maxsize=_KEPT)(self._left_of)
         starts = np.cumsum([0, *(len(block.values) for block in blocks)])
         self.slices = {
@@ -60,7 +66,18 @@ class InferenceProblem:
         for nuisance, size in zip(self.nuisances, z.tolist(), strict=True):
             if size:
                 parameters = nuisance.change(parameters, nuisance.spread * size)
+        # The sizes of one effect act together, so that they are no changes of their own.
+        last = len(z) - sum(len(effect.uncertain) for effect in self.known)
+        for effect in self.known:
+            count = len(effect.uncertain)
+            parameters = effect.change(parameters, tuple(z[last : last + count].tolist()))
+            last += count
         return parameters
+
+    def without_known(self) -> "InferenceProblem":
+        """Return the same problem for a bench of which no effect is known."""
+        count = len(self.nuisances) - sum(len(effect.uncertain) for effect in self.known)
+        return InferenceProblem(self.groups, self.base, self.nuisances[:count])
 
     def residuals(self, parameters: BenchParameters) -> Array:
         """Return the whitened residuals (n,): model less measurement."""

@@ -26,7 +26,6 @@ from blind.reed import Build, make_reed
 from blind.run_files import bench_text
 from blind.vibration import answerer
 from blind.world import World
-from diagnosis.known_bench import with_known_effects
 from fitting.forward import basis_of
 from physics.effects.catalogue import BY_ID
 from physics.parameters.tree import BenchParameters
@@ -38,6 +37,7 @@ from physics.reed.cane.viscoelastic import (
 )
 from physics.reed.reduced.elastic import elastic_modes
 from protocols.bench import BenchFile
+from protocols.bench_parameters import known_effects, with_effects
 from protocols.reed import ReedFile
 
 # A laboratory of its own elements is built for them.
@@ -79,7 +79,7 @@ def test_what_a_laboratory_states_is_what_it_has() -> None:
     label = drawn_label(6, 3, 5)
     laboratory = SimpleNamespace(world=sick_world(label))
     bench = BenchFile.from_text(bench_text("case", laboratory, stated_sizes(label)))
-    stated = with_known_effects(BenchParameters(), bench)
+    stated = with_effects(BenchParameters(), known_effects(bench), "known")
     world = laboratory.world
     assert stated.reed.air_share == pytest.approx(world.cane.air)
     assert stated.optics.interference.leak == pytest.approx(world.light.leak)

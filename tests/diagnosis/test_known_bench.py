@@ -5,12 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagnosis.known_bench import (
-    bench_of,
-    only_once,
-    sensor_of,
-    with_known_effects,
-)
+from diagnosis.known_bench import bench_of, known_effects_of, only_once, sensor_of
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 from protocols.bench import BenchFile
@@ -28,13 +23,19 @@ def bench(known: str) -> BenchFile:
     return BenchFile.from_text(f"{TEXT}\nknown: {known}\n", "lab.yaml")
 
 
+def parameters_with(described: BenchFile | None) -> BenchParameters:
+    parameters = BenchParameters()
+    for sized in known_effects_of(RUN, described).effects:
+        parameters = sized.change(parameters)
+    return parameters
+
+
 def test_effects_are_put_on_the_twin_in_their_units() -> None:
-    parameters = with_known_effects(
-        BenchParameters(),
+    parameters = parameters_with(
         bench(
             "{synthesizer_detuning: {offset: 20 mHz}, air_load: {fraction: 0.9}, "
             "laser_power_drift: {loss_rate: 0.3 1/h}}"
-        ),
+        )
     )
     assert parameters.clocks.detuning_hz == pytest.approx(0.02)
     assert parameters.reed.air_share == pytest.approx(1.9)
@@ -44,7 +45,8 @@ def test_effects_are_put_on_the_twin_in_their_units() -> None:
 def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
     nominal = BenchParameters()
     for described in (None, BenchFile.from_text(TEXT)):
-        assert with_known_effects(nominal, described) == nominal
+        assert parameters_with(described) == nominal
+        assert known_effects_of(RUN, described).effects == ()
 
 
 @pytest.mark.parametrize(
@@ -59,11 +61,14 @@ def test_a_bench_of_which_nothing_is_known_is_the_nominal_twin() -> None:
         ("{air_load: {fraction: .inf}}", "known.air_load.fraction: inf is not a finite number"),
         ("{air_load: {fraction: true}}", "air_load.fraction.float: True should be a valid number"),
         ("{crack: {depth: 50 um, x: 1 m}}", "is outside its range; choose a value from"),
+        ("{crack: {depth: 50 um, x: 10 ± 1 mm}}", "x: '10 ± 1 mm' has a standard error"),
+        ("{air_load: {fraction: 0.3 ± -0.1}}", "air_load.fraction: '0.3 ± -0.1' is no number with"),
+        ("{tip_mass: {mass: 1e-6 ± 1e-6}}", "tip_mass.mass: '1e-6' is not in its unit"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:
     with pytest.raises(ProtocolError) as error:
-        with_known_effects(BenchParameters(), bench(known))
+        known_effects_of(RUN, bench(known))
     assert said in str(error.value)
     assert str(error.value).startswith("lab.yaml:")
 
@@ -85,5 +90,33 @@ def test_a_run_without_a_readable_bench_says_nothing_of_it() -> None:
 
 def test_what_a_twin_cannot_have_twice_is_not_asked_for_again() -> None:
     described = bench("{second_acoustic_resonance: {strength: 0.1}, drying: {fraction: 0.2}}")
-    assert only_once(described) == ("second_acoustic_resonance",)
-    assert only_once(None) == only_once(BenchFile.from_text(TEXT)) == ()
+    assert only_once(known_effects_of(RUN, described).effects) == ("second_acoustic_resonance",)
+    assert only_once(()) == ()
+
+
+def test_a_size_with_a_standard_error_keeps_it_in_its_unit() -> None:
+    described = bench(
+        "{laser_power_drift: {loss_rate: 0.3 ± 0.1 1/h}, defocus: {distance: 5 +- 2 mm}, "
+        "air_load: {fraction: 0.5}}"
+    )
+    power, focus, air = known_effects_of(RUN, described).effects
+    assert (power.values["loss_rate"], power.errors) == (0.3, {"loss_rate": 0.1})
+    assert focus.values["distance"] == pytest.approx(5e-3)
+    assert focus.errors["distance"] == pytest.approx(2e-3)
+    assert air.uncertain == ()
+    moved = focus.change(BenchParameters(), (2.0,))
+    assert moved.optics.layout.defocus_m == pytest.approx(9e-3)
+
+
+def test_a_size_that_cannot_be_negative_is_no_less_than_nothing() -> None:
+    (mass,) = known_effects_of(RUN, bench("{tip_mass: {mass: 1e-7 ± 1e-7 kg}}")).effects
+    assert mass.change(BenchParameters(), (-3.0,)) == BenchParameters()
+    assert mass.change(BenchParameters(), (3.0,)) != BenchParameters()
+
+
+def test_effects_are_foreseen_if_the_runs_were_measured_with_them() -> None:
+    described = bench("{drying: {fraction: 0.2}}")
+    measured = SimpleNamespace(**{**vars(RUN), "bench_text": described.text})
+    assert known_effects_of(measured).foreseen
+    assert known_effects_of(measured, described).foreseen
+    assert not known_effects_of(RUN, described).foreseen

@@ -295,11 +295,11 @@ class Bench:
 
     @property
     def identities(self) -> Mapping[str, str]:
-        """Identity of each instrument, by role."""
+        """Identity of each instrument, by role, as one line that a run file can hold."""
         return {
-            "synthesizers": self.synthesizers.identity,
-            "generator": self.generator.identity,
-            "camera": self.camera.identity,
+            "synthesizers": _one_line(self.synthesizers.identity),
+            "generator": _one_line(self.generator.identity),
+            "camera": _one_line(self.camera.identity),
         }
 
     def reconnect(self, role: RoleName) -> bool:
@@ -336,3 +336,9 @@ class Bench:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _one_line(identity: object) -> str:
+    """Return a text without what HDF5 refuses: a serial line may return a null character."""
+    text = "".join(c if c.isprintable() else " " for c in str(identity))
+    return " ".join(text.split())

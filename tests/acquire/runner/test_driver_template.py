@@ -11,6 +11,7 @@ import acquire
 from acquire.bench.check import check_bench
 from acquire.bench.shot import shot_plan
 from acquire.runner.orders import Orders
+from drivers.errors import InstrumentError
 from protocols.bench import BenchFile
 from protocols.campaign import CampaignFile
 from runs.reader import Run
@@ -153,3 +154,27 @@ def test_a_resumed_campaign_prepares_complete_parts_again(bench, calls, campaign
     complete = ["arrange"] * 3
     sweep = [*BEGIN, *FIRST, *NEXT, *NEXT, *END]
     assert log == [*OPEN, *complete, "clamp_again", "arrange", *sweep, *CLOSE]
+
+
+def test_shutters_that_fail_end_a_campaign_that_can_be_resumed(
+    bench, calls, campaign, tmp_path, monkeypatch
+):
+    from my_bench.pretended import PretendedLaboratory
+
+    log, _ = calls
+    folder, original = tmp_path / "campaign", PretendedLaboratory.arrange
+
+    def stuck(self, arrangement):
+        if arrangement == "flat":
+            raise InstrumentError("shutter: does not move; look whether something blocks it")
+        original(self, arrangement)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(PretendedLaboratory, "arrange", stuck)
+        with pytest.raises(InstrumentError, match="does not move"):
+            acquire.run_campaign(campaign, folder, bench)
+    # All is off since the end of the part before.
+    assert log[-len([*END, *CLOSE]) :] == [*END, *CLOSE]
+    assert [path.name for path in folder.glob("*.h5")] == ["dark.h5"]
+    resumed = acquire.resume_campaign(campaign, folder, bench)
+    assert [part.path.stem for part in resumed.parts] == ["flat", "up", "again"]

@@ -18,6 +18,8 @@ class MyGenerator:
 
     def __init__(self, entry: Generator, context: BenchContext) -> None:
         self._entry, self._limits = entry, context.description.limits
+        # Kept for its clock, which a driver that is opened later may replace.
+        self._context = context
         self._laboratory = context.share(PretendedLaboratory)
         # A program that was killed may have left the output on.
         self.output_off()
@@ -51,7 +53,7 @@ class MyGenerator:
             raise InstrumentError("generator: its output is off; call set_sine before a ramp")
         start_v = self._laboratory.drive_v
         for step in range(1, _RAMP_STEPS + 1):
-            self._laboratory.clock.wait(duration_s / _RAMP_STEPS)
+            self._context.clock.wait(duration_s / _RAMP_STEPS)
             self._laboratory.drive_v = start_v + (volts - start_v) * step / _RAMP_STEPS
 
     def output_off(self) -> None:

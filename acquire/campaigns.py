@@ -154,7 +154,7 @@ def _measured(parts: Sequence[PlannedPart], sample: Sample, callbacks: Callbacks
         locked(folder) as orders,
         opened_bench(first, sample, folder, callbacks, orders) as bench,
     ):
-        preparation = BenchPreparation(bench.surroundings, callbacks.wait_for, orders)
+        preparation = BenchPreparation(bench, callbacks.wait_for, orders)
         for part in parts:
             state = part.state
             preparation.prepare(part, state)

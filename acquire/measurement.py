@@ -11,6 +11,7 @@ from acquire.runner.resuming import unfinished
 from acquire.runner.run_folder import make_folder
 from acquire.runner.run_session import (
     Sample,
+    arrange_light,
     clear_dead,
     locked,
     measure_new,
@@ -105,7 +106,8 @@ def run(
     """Open the bench of a plan, measure the sweep, close the bench, and pack the frames.
 
     However the run ends, the tweeter and the RF are switched off before this returns. Ctrl-C stops
-    the run after the current step.
+    the run after the current step. A bench that can operate its shutters and lamp does so first,
+    for example for a run of dark frames; on other benches a person does it before.
 
     Parameters
     ----------
@@ -143,6 +145,7 @@ def run(
     with locked(path) as orders:
         prepare_new(planned, path, calls)
         with opened_bench(planned, sample, path, calls, orders) as bench:
+            arrange_light(planned, bench, orders)
             summary = measure_new(planned, bench, path, sample.labels, calls, orders)
         return RunResult(pack_complete(summary, planned, calls, orders))
 
@@ -184,6 +187,7 @@ def resume(
         clear_dead(path, calls)
         sample = Sample(found.reed, RunLabels(), found.seed)
         with opened_bench(planned, sample, path, calls, orders) as bench:
+            arrange_light(planned, bench, orders)
             summary = measure_rest(planned, bench, path, calls, orders)
         return RunResult(pack_complete(summary, planned, calls, orders))
 

@@ -45,16 +45,22 @@ class BenchContext:
     description : BenchFile
         The bench file.
     preparation : Preparation
+        Reed and chamber. A check of the bench, and switching it off, name no real reed.
     rng : numpy.random.Generator
-        The only source of random numbers on this bench.
+        The only source of random numbers on this bench; it follows from the seed of the run.
     announce : callable
         Called with a few words about what is being waited for.
     clock : Clock
-        The bench's clock. A driver that brings a time of its own puts it here.
+        The bench's clock: that of the wall unless a driver puts another one here while it is
+        opened. The program takes it once, when all instruments are open. A driver that only uses
+        the clock reads this attribute each time, because a driver that is opened later may
+        replace it.
     surroundings : Surroundings or None
-        A driver that can change them puts them here.
+        A driver that can change them puts them here while it is opened; the program takes them
+        once, when all instruments are open.
     simulated_disorder : str
-        A driver that simulates a bench with disorder puts here what it is, as JSON.
+        A driver that simulates a bench with disorder puts here what it is, as JSON. Run files
+        keep it in plain text.
     """
 
     description: BenchFile

@@ -2,7 +2,8 @@
 
 A driver is any class that satisfies one of these protocols; nothing has to be inherited. Every
 method may raise `InstrumentError` when the instrument does not answer or does not confirm; what it
-may raise in addition, and what it promises, is in its docstring.
+may raise in addition, and what it promises, is in its docstring. When the program calls what is on
+the page ``docs/reference/driver-interface.md``.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,9 +28,9 @@ class Frame:
     Attributes
     ----------
     id : int
-        Number of the frame since `Camera.start`, counting those that were never fetched.
+        Number of the frame since `Camera.start`, from 0, counting those that were never fetched.
     timestamp_s : float
-        Start of the exposure on the camera's own clock.
+        Start of the exposure on the camera's own clock, see `Camera.now_s`.
     image : (ny, nx) uint16
     """
 
@@ -43,7 +44,12 @@ class Instrument(Protocol):
 
     @property
     def identity(self) -> str:
-        """Maker, model, serial number and firmware, as the instrument says it, on one line."""
+        """Maker, model, serial number and firmware, as the instrument says it, on one line.
+
+        It is known as soon as the instrument is open. Each run file keeps it as it was when the
+        run began. It may be read at any time and any number of times, so return a stored text
+        and ask the instrument only once.
+        """
         ...
 
     def close(self) -> None:
@@ -55,9 +61,13 @@ class Instrument(Protocol):
 class SynthesizerPair(Instrument, Protocol):
     """Two channels on one clock: AOM1 shifts the local oscillator, AOM2 the object beam.
 
+    The sign matters. The program sets ``f_AOM1 - f_AOM2 = n f + f_CCD / 4`` to measure sideband n
+    of the drive f. If the two outputs are exchanged, every step has the verdict ``lock``.
+
     A driver may have one more property, ``echoes_registers: bool``. True says that `read_pair`
     returns what was written to the instrument, whether or not the outputs followed; False, that it
-    returns what the outputs play. A driver without it makes no statement.
+    returns what the outputs play. A driver without it counts as True: then only the light can prove
+    the lock, and steps with too little light are ``unproven``.
     """
 
     @property
@@ -90,11 +100,17 @@ class SynthesizerPair(Instrument, Protocol):
         ...
 
     def rf_on(self) -> None:
-        """Let both modulators diffract; raises `InstrumentError` if that is not confirmed."""
+        """Let both modulators diffract; raises `InstrumentError` if that is not confirmed.
+
+        Called at the beginning of every run, also of dark and flat frames.
+        """
         ...
 
     def rf_off(self) -> None:
-        """Take the power off both modulators; raises `InstrumentError` if not confirmed."""
+        """Take the power off both modulators; raises `InstrumentError` if not confirmed.
+
+        May be called from any thread, at any time and more than once.
+        """
         ...
 
 
@@ -131,7 +147,10 @@ class SignalGenerator(Instrument, Protocol):
         ...
 
     def output_off(self) -> None:
-        """Disconnect the output at once; raises `InstrumentError` if that is not confirmed."""
+        """Disconnect the output at once; raises `InstrumentError` if that is not confirmed.
+
+        May be called from any thread, at any time and more than once.
+        """
         ...
 
     def read(self) -> tuple[Fraction, float, bool]:
@@ -151,13 +170,21 @@ class Camera(Instrument, Protocol):
 
     @property
     def saturation_dn(self) -> int:
-        """Number at which a pixel stops growing with light: the lesser of full well and ADC."""
+        """Number at which a pixel stops growing with light: the lesser of full well and ADC.
+
+        State what this camera really does, which may be less than its data sheet says: if the
+        number is too high, saturated pixels are not recognised. It is known as soon as the camera
+        is open, before `configure`, and does not change during a run.
+        """
         ...
 
     def configure(
         self, frame_rate_hz: Fraction, exposure_s: Fraction, shape: tuple[int, int]
     ) -> None:
         """Set the camera up for a run, while it is stopped.
+
+        Called at the beginning of a run, after a pause or a failure, and in the middle of a run
+        before each step with another exposure; always followed by `start`.
 
         Parameters
         ----------
@@ -177,11 +204,17 @@ class Camera(Instrument, Protocol):
         ...
 
     def start(self) -> None:
-        """Begin to take frames; raises `InstrumentError` if the camera is not configured."""
+        """Begin to take frames; raises `InstrumentError` if the camera is not configured.
+
+        Frame numbers begin again at 0, the clock of the camera does not.
+        """
         ...
 
     def stop(self) -> None:
-        """Take no more frames. Does nothing to a stopped camera."""
+        """Take no more frames. Does nothing to a stopped camera.
+
+        May be called from any thread, at any time and more than once.
+        """
         ...
 
     def grab(self, count: int, not_before_s: float) -> list[Frame]:
@@ -210,13 +243,22 @@ class Camera(Instrument, Protocol):
         ...
 
     def now_s(self) -> float:
-        """Return the present time on the clock of `Frame.timestamp_s`."""
+        """Return the present time on the clock of `Frame.timestamp_s`.
+
+        The zero is arbitrary. It must not change while the camera is open, because a diagnosis
+        computes drifts from the time stamps of a whole run.
+        """
         ...
 
 
 @runtime_checkable
 class Clock(Protocol):
-    """The time that passes on a bench: that of the wall, or of a simulation."""
+    """The time that passes on a bench: that of the wall, or of a simulation.
+
+    Real instruments need none: the program takes that of the wall. A simulator may put a clock of
+    its own into `drivers.context.BenchContext.clock`. Then simulated time passes only in `wait`,
+    which the program calls while a setting settles, and drivers call for all that takes time.
+    """
 
     def now_s(self) -> float:
         """Return the time since some moment before the bench was opened."""
@@ -225,12 +267,17 @@ class Clock(Protocol):
     def date(self) -> datetime:
         """Return date and time in UTC, by which runs of one bench are put in order.
 
-        They pass as `now_s` does, so that drifts from run to run have their true rates.
+        They pass as `now_s` does, so that drifts from run to run have their true rates. They must
+        not go back when the bench is opened again, or the parts of a resumed campaign are put
+        into the wrong order.
         """
         ...
 
     def wait(self, seconds: float) -> None:
-        """Return `seconds` later; at once if that is not positive."""
+        """Return `seconds` later; at once if that is not positive.
+
+        May be called from several threads at once: outputs are switched off on threads.
+        """
         ...
 
 
@@ -245,10 +292,23 @@ class Arrangement(StrEnum):
 
 
 class Surroundings(Protocol):
-    """Shutters, lamp and clamp of a bench that a program can operate."""
+    """Shutters, lamp and clamp of a bench that a program can operate.
+
+    Both methods are called while all outputs are off and the camera is stopped. They may take any
+    time; a second Ctrl-C raises KeyboardInterrupt in them. They may raise `InstrumentError`: the
+    run, or the rest of a campaign, is then not measured and can be resumed.
+
+    An object may have one more property, ``stays_clamped: bool``. True says that the reed stays in
+    its clamp when the program ends, as on a real bench. Without it, or with False, a resumed
+    campaign calls `clamp_again` once more for each part that was begun after a new clamping:
+    this is how a simulated reed gets back to where it was.
+    """
 
     def arrange(self, arrangement: Arrangement) -> None:
-        """Change the light on the sensor until the next call."""
+        """Change the light on the sensor until the next call.
+
+        A bench that was just opened is arranged for holograms.
+        """
         ...
 
     def clamp_again(self) -> None:
@@ -295,11 +355,11 @@ class Bench:
 
     @property
     def identities(self) -> Mapping[str, str]:
-        """Identity of each instrument, by role."""
+        """Identity of each instrument, by role, as one line that a run file can hold."""
         return {
-            "synthesizers": self.synthesizers.identity,
-            "generator": self.generator.identity,
-            "camera": self.camera.identity,
+            "synthesizers": _one_line(self.synthesizers.identity),
+            "generator": _one_line(self.generator.identity),
+            "camera": _one_line(self.camera.identity),
         }
 
     def reconnect(self, role: RoleName) -> bool:
@@ -336,3 +396,9 @@ class Bench:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _one_line(identity: object) -> str:
+    """Return a text without what HDF5 refuses: a serial line may return a null character."""
+    text = "".join(c if c.isprintable() else " " for c in str(identity))
+    return " ".join(text.split())

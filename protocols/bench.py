@@ -92,7 +92,7 @@ class Generator(InstrumentEntry):
 
 
 class DataSheet(Section):
-    """Data sheet of a sensor, for one pixel, in electrons and digital numbers."""
+    """Nominal values of a sensor, as its data sheet states them, for one pixel."""
 
     offset_dn: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     """Digital number of a pixel without light."""
@@ -118,7 +118,8 @@ class CameraSensor(InstrumentEntry):
     max_frame_rate_hz: Annotated[Frequency, Field(alias="max_frame_rate", gt=0)]
     """Highest frame rate of the whole sensor."""
     data_sheet: DataSheet | None = None
-    """Data sheet of the sensor. Without this key, the sensor of the paper."""
+    """Nominal values of the sensor. Without this key, the sensor of the paper. A diagnosis expects
+    that a specimen differs from them."""
 
 
 class Instruments(Section):

@@ -63,7 +63,11 @@ class NewRun:
     ----------
     plan : Plan
     bench : Bench
-        Open bench; supplies names, identities and preparation.
+        Open bench; supplies its names and the preparation.
+    identities : mapping of str to str
+        Identity of each instrument by role, read once: a driver may not return the same text twice.
+    saturation_dn : int
+        Value of a saturated pixel, read once.
     labels : RunLabels
     reconstruction : Reconstruction
     uid : str
@@ -76,6 +80,8 @@ class NewRun:
 
     plan: Plan
     bench: Bench
+    identities: Mapping[str, str]
+    saturation_dn: int
     labels: RunLabels
     reconstruction: Reconstruction
     uid: str
@@ -95,7 +101,7 @@ def fill(file: Any, new: NewRun, *, allocate: bool) -> None:
         Whether space for the images of all steps is allocated now.
     """
     _write_entry(file, new)
-    _write_instruments(file["entry"], new.plan, new.bench)
+    _write_instruments(file["entry"], new)
     _write_steps(file["entry"], new.plan)
     _write_earlier_attempts(file["entry"], new.plan, allocate=allocate)
     _write_interruptions(file["entry"])
@@ -204,17 +210,18 @@ def _kind_of(plan: Plan) -> RunKind:
     return RunKind.SWEEP if calibration is None else RunKind(calibration.kind)
 
 
-def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
+def _write_instruments(entry: Any, new: NewRun) -> None:
+    plan = new.plan
     camera, optics, limits = plan.bench.instruments.camera, plan.bench.optics, plan.bench.limits
     instrument = _group(entry, "instrument", "NXinstrument")
-    _put(instrument, "name", bench.name)
+    _put(instrument, "name", new.bench.name)
     _put(
         instrument,
         "acoustic_resonances",
         [float(hz) for hz in plan.bench.acoustic_resonances_hz],
         "Hz",
     )
-    for role, identity in bench.identities.items():
+    for role, identity in new.identities.items():
         kind = "NXdetector" if role == "camera" else "NXcollection"
         _put(_group(instrument, role, kind), "identity", identity)
     detector, rows_columns = instrument["camera"], plan.frame_shape
@@ -222,7 +229,7 @@ def _write_instruments(entry: Any, plan: Plan, bench: Bench) -> None:
     _put(detector, "frame_rate_exact", exact_text(plan.protocol.camera.frame_rate_hz))
     _put(detector, "count_time", float(plan.protocol.exposure_s), "s")
     _put(detector, "bit_depth_readout", camera.bits)
-    _put(detector, "saturation_value", bench.camera.saturation_dn)
+    _put(detector, "saturation_value", new.saturation_dn)
     _put(detector, "pixel_size", float(camera.pixel_m), "m")
     _put(detector, "rows", rows_columns[0])
     _put(detector, "columns", rows_columns[1])

@@ -118,7 +118,7 @@ class RunWriter:
         path : str or Path
         plan : Plan
         bench : Bench
-            Open, with its camera configured.
+            Open bench; its camera need not be configured yet.
         labels : RunLabels
         reconstruction : Reconstruction
             Geometry that a reader needs to interpret pixels.
@@ -139,7 +139,8 @@ class RunWriter:
             )
         origin = {"git_revision": git_revision() or "", "package_versions": package_versions()}
         began = stamp(bench.clock.date())
-        new = NewRun(plan, bench, labels, reconstruction, uid, began, origin)
+        read_once = bench.identities, bench.camera.saturation_dn
+        new = NewRun(plan, bench, *read_once, labels, reconstruction, uid, began, origin)
         # The file gets its name only when it is finished, so a killed process leaves no bad run.
         unborn = unborn_path(path)
         with contextlib.ExitStack() as undo:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from acquire.runner.orders import Orders
 from acquire.runner.resuming import require_same
-from acquire.runner.run_session import Sample
-from drivers.roles import Arrangement, Surroundings
+from acquire.runner.run_session import Sample, arrange_light
+from drivers.roles import Bench
 from protocols.bench import BenchFile
 from protocols.campaign import (
     CampaignFile,
@@ -112,8 +112,8 @@ class BenchPreparation:
 
     Parameters
     ----------
-    surroundings : Surroundings or None
-        None where a person has to do it.
+    bench : Bench
+        Open bench. A person has to do what it has no `surroundings` for.
     wait_for : callable
         Called with what a person must do; returns when it is done.
     orders : Orders
@@ -121,29 +121,35 @@ class BenchPreparation:
 
     def __init__(
         self,
-        surroundings: Surroundings | None,
+        bench: Bench,
         wait_for: Callable[[str], None],
         orders: Orders,
     ) -> None:
-        self._surroundings, self._wait_for, self._orders = surroundings, wait_for, orders
+        self._bench, self._wait_for, self._orders = bench, wait_for, orders
         self._last_done = ""
         self._went_on = False
 
     def prepare(self, part: PlannedPart, state: PartState) -> None:
         """Prepare the bench for a part that is to be measured; remember one that is complete.
 
-        The reed is clamped again once only, however often its part is started.
+        The reed is clamped again once only, however often its part is started. A simulated reed
+        forgets its clampings when its process ends, and repeats them.
 
         Raises
         ------
         KeyboardInterrupt
-            If the campaign is stopped while it waits for a person.
+            If the campaign is stopped while it waits for a person, or for the second time while
+            shutters or clamp move.
         """
         clamps = part.task.part.new_clamping
-        if self._surroundings is not None:
-            if clamps:
-                self._surroundings.clamp_again()
-            self._surroundings.arrange(_arrangement(part))
+        surroundings = self._bench.surroundings
+        if surroundings is not None:
+            # A driver that makes no statement may have lost the clampings of an earlier process.
+            stays = bool(getattr(surroundings, "stays_clamped", False))
+            if clamps and (state is PartState.NEW or not stays):
+                with self._orders.given_up_at(2):
+                    surroundings.clamp_again()
+            arrange_light(part.plan, self._bench, self._orders)
             return
         if state is PartState.COMPLETE:
             self._last_done = self._last_done if clamps else part.task.part.do or self._last_done
@@ -166,10 +172,3 @@ class BenchPreparation:
         if not clamped:
             self._last_done = part.task.part.do or self._last_done
         self._went_on = False
-
-
-def _arrangement(part: PlannedPart) -> Arrangement:
-    calibration = part.task.protocol.calibration
-    if calibration is None or calibration.kind == "order0":
-        return Arrangement.HOLOGRAMS
-    return Arrangement(calibration.kind)

@@ -12,7 +12,7 @@ from acquire.runner.run_folder import require_writable
 from acquire.runner.runner import run as measure
 from acquire.runner.summary import RunState, RunSummary
 from drivers.registry import open_bench
-from drivers.roles import Bench
+from drivers.roles import Arrangement, Bench
 from protocols.plan import Plan
 from runs.disk import error_class
 from runs.errors import RunFileError
@@ -92,6 +92,23 @@ def opened_bench(
         )
     with bench:
         yield bench
+
+
+def arrange_light(plan: Plan, bench: Bench, orders: Orders) -> None:
+    """Bring shutters and lamp into the state that a run needs, on a bench that can do so.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        At the second order to stop: shutters may never report that they have moved.
+    """
+    if bench.surroundings is None:
+        return
+    calibration, arrangement = plan.protocol.calibration, Arrangement.HOLOGRAMS
+    if calibration is not None and calibration.kind != "order0":
+        arrangement = Arrangement(calibration.kind)
+    with orders.given_up_at(2):
+        bench.surroundings.arrange(arrangement)
 
 
 def prepare_new(plan: Plan, path: Path, callbacks: Callbacks) -> None:

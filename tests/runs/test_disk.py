@@ -1,6 +1,7 @@
 """Disks that refuse, lose or change what is written: one line, and nothing half made."""
 
 import errno
+import itertools
 import os
 import resource
 import subprocess
@@ -328,3 +329,20 @@ def test_a_file_that_is_being_written_is_locked(tmp_path):
 )
 def test_a_disk_that_refuses_is_reported_from_a_wrong_name(error, kind):
     assert error_class(error) is kind
+
+
+def test_an_identity_that_is_never_the_same_twice_is_no_fault_of_the_disk(plan, fake_bench, path):
+    """A driver may count, or add a temperature; its serial line may return a null character."""
+    bench, readings = fake_bench().opened(), itertools.count()
+
+    class Counting:
+        saturation_dn = 4095
+
+        @property
+        def identity(self):
+            return f"camera\0 A,\n{next(readings)} readings\x1b"
+
+    bench.camera = Counting()
+    RunWriter.create(path, plan, bench, RunLabels(), reconstruction_of(plan), "uid").close()
+    with Run.open(path) as run:
+        assert run.identities["camera"] == "camera A, 0 readings"

@@ -1,0 +1,1 @@
+"""Template of drivers: copy this folder, rename it, and edit one file for each instrument."""

@@ -205,7 +205,8 @@ def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> Non
     ):  # fmt: skip
         if letter in {name[0] for name in sweep.measured}:
             axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
-    axes.legend(loc="upper right", frameon=False)
+    # To the right of the axes, because peaks and their names may be anywhere on them.
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     how = "peak amplitude of every mode" if sweep.joint else "fringes counted for each mode shape"
     title = f"Reed {visible(sweep.reed)}, series {visible(sweep.series)}: {how}"
     # A name may hold what matplotlib takes for mathematics.

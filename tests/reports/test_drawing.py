@@ -267,7 +267,8 @@ def test_names_of_close_modes_can_be_read(fitted):
     # Without their lines to the peaks.
     boxes = [Text.get_window_extent(t) for t in figure.axes[0].texts if "\n" in t.get_text()]
     assert len(boxes) == len(close)
-    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    legend = figure.axes[0].get_legend().get_window_extent()
+    assert not any(a.overlaps(b) for a, b in combinations([*boxes, legend], 2))
 
 
 def test_a_line_outside_the_sweep_is_not_drawn(fitted):

@@ -1,7 +1,8 @@
 """What a forward model does not know of a reed, as errors that its modes share.
 
-A reed differs from its drawing in thickness, its clamp yields and is put on by hand, the moduli
-that are not fitted have handbook values, and the air is that of a free plate. Each such cause moves
+A reed differs from its drawing in thickness, its cane from hypothesis H4, its clamp yields and is
+put on by hand, the moduli that are not fitted have handbook values, and the air is that of a free
+plate. Each such cause moves
 all modes together, by a pattern that the reduced reed computes. Their ranges are those from which
 disorder is drawn (`physics.parameters.disorder`), and the priors of the diagnosis
 (`physics.effects`).
@@ -16,9 +17,9 @@ import numpy as np
 from holography.arrays import Array, Mask
 from physics.effects.catalogue import BY_ID
 from physics.effects.effect import Effect
-from physics.mechanics import HIGHEST_HZ, Mechanics, RandomLayer, ReedSolver
+from physics.mechanics import HIGHEST_HZ, CaneShift, Mechanics, RandomLayer, ReedSolver
 from physics.parameters.disorder import BY_NAME, Disorder
-from physics.parameters.tree import BenchParameters, with_part
+from physics.parameters.tree import BenchParameters, with_cane, with_part
 from physics.plausible.surfaces import ThicknessFunctions
 from physics.reed.reduced.derivatives import local_shifts
 from physics.reed.reduced.vibrations import vibrations
@@ -33,6 +34,16 @@ _AIR_DENSITY = 0.025
 # Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
 _WALL = 0.5
 _DENSITY = "density"
+# Numbers of a `CaneShift` by which cane differs from H4's cane of the drawing's density.
+CANE = (_DENSITY, "E_L", "G_LT", "growth_E_L", "growth_G_LT")
+# Frequencies of 55 reeds are 30.4 cents (rms) off those of H4 (paper, Table 5), as by moduli that
+# are off by twice as much. Growth: the effect `viscoelastic_stiffening` (decision 0049).
+_LEVEL = 2 * 30.4 * float(np.log(2)) / 1200
+_BEYOND_H4 = {
+    "E_L": _LEVEL,
+    "G_LT": _LEVEL,
+    **{f"growth_{each.name}": each.spread for each in BY_ID["viscoelastic_stiffening"].parameters},
+}
 # Ordinary disorder of each reed, and of each time that it is clamped.
 _OF_REED = (_DENSITY, "thickness_slope", "E_T", "E_R", "G_LR", "G_TR", "nu_LT", "nu_LR", "nu_TR")
 _OF_CLAMPING = ("clamp_shift", "clamp_tilt")
@@ -54,8 +65,8 @@ class ModelErrors:
         Whether a cause is another one each time that the reed is clamped.
     own_cents : (m,) float
         Error of each mode by itself: what its shifts are not proportional to their causes.
-    log_density : (q,) float
-        Logarithm of the density of the cane, over that of the drawing, by each cause.
+    cane : (q, 5) float
+        By which each cause changes the numbers `CANE` of a `CaneShift`.
     """
 
     modes: tuple[str, ...]
@@ -64,7 +75,7 @@ class ModelErrors:
     positive: Mask
     of_clamping: Mask
     own_cents: Array
-    log_density: Array
+    cane: Array
 
 
 @dataclass(frozen=True)
@@ -105,7 +116,7 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
     shifts.append(_WALL * _by_wall(solver, nominal.reed, modes))
     maps = _by_maps(solver, nominal.reed, modes)
     names = (*(cause.name for cause in causes), "wall", *[_MAP] * len(maps))
-    density, none = BY_NAME[_DENSITY].ordinary.deviation, [False] * (1 + len(maps))
+    none = [False] * (1 + len(maps))
     return ModelErrors(
         modes=tuple(modes),
         causes=names,
@@ -113,7 +124,7 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
         positive=np.array([cause.positive for cause in causes] + none),
         of_clamping=np.array([cause.of_clamping for cause in causes] + none),
         own_cents=np.sqrt(squares),
-        log_density=np.where(np.array(names) == _DENSITY, density, 0.0),
+        cane=np.array([[_of_cane(name) * (name == field) for field in CANE] for name in names]),
     )
 
 
@@ -128,6 +139,9 @@ def _causes(nominal: BenchParameters) -> Iterator[_Cause]:
         kind = BY_NAME[name]
         drawn = partial(_with_disorder, nominal, kind, kind.ordinary.deviation, 0)
         yield _Cause(name, drawn, of_clamping=name in _OF_CLAMPING)
+    for name in CANE:
+        if name != _DENSITY:
+            yield _Cause(name, partial(_with_cane, nominal, name))
     yield _Cause("air", partial(_with_air, nominal, _AIR_DENSITY))
 
 
@@ -140,6 +154,22 @@ def _with_disorder(
     nominal: BenchParameters, kind: Disorder, sd: float, seed: int, deviations: float
 ) -> BenchParameters:
     return kind.change(nominal, deviations * sd, seed)
+
+
+def cane_shift(amounts: Array, cane: Array) -> CaneShift:
+    """Return how causes of given amounts (q,) change the cane; for `cane` see `ModelErrors`."""
+    return CaneShift(**dict(zip(CANE, (amounts @ cane).tolist(), strict=True)))
+
+
+def _of_cane(name: str) -> float:
+    """Return one standard deviation of a number of `CANE`; 0 for any other cause."""
+    if name == _DENSITY:
+        return BY_NAME[name].ordinary.deviation
+    return _BEYOND_H4.get(name, 0.0)
+
+
+def _with_cane(nominal: BenchParameters, name: str, deviations: float) -> BenchParameters:
+    return with_cane(nominal, **{name: deviations * _of_cane(name)})
 
 
 def _with_air(nominal: BenchParameters, sd: float, deviations: float) -> BenchParameters:

@@ -1,23 +1,27 @@
 """What frequencies say of cane whose density is not known: its moduli over density.
 
 All numbers are those of the cane of the drawing's density that sounds the same: its moduli are the
-reed's, times the density of the drawing over that of the reed. They leave hypothesis H4 by a
-little, because H4 varies moduli with three components and cannot scale all four springs; the
-components are those of the cane of H4 whose moduli are most similar.
+reed's, times the density of the drawing over that of the reed. They need not be those of a cane of
+hypothesis H4, which varies all moduli with three components. The components are those of the cane
+of H4 whose moduli are most similar.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from holography.arrays import Array
+from physics.mechanics import CaneShift
 from physics.reed.cane.viscoelastic import (
     Components,
     Series,
     ViscoelasticCane,
+    Zener,
     storage_modulus_pa,
     viscoelastic_cane,
 )
+from physics.reed.reduced.dynamics import PIVOT_HZ
 
 # The paper quotes storage moduli at this frequency (Tables 6 and 7).
 QUOTED_HZ = 4000.0
@@ -33,26 +37,49 @@ def cane_of(values: Array, series: Series) -> ViscoelasticCane:
     return viscoelastic_cane(Components(*map(float, values)), series)
 
 
-def moduli_mpa(values: Array, log_density: float, series: Series) -> Array:
-    """Return the numbers `MODULI` (6,) of the cane of components, at the drawing's density.
+def moduli_mpa(values: Array, shift: CaneShift, series: Series, frequencies_hz: Array) -> Array:
+    """Return the numbers `MODULI` (6,) of a cane, at the drawing's density.
+
+    Springs are those of the `Zener` bodies with the dashpot times of H4's cane whose storage moduli
+    are most similar to those of the cane at given frequencies.
 
     Parameters
     ----------
     values : (3,) or (4,) float
-        Components of the cane.
-    log_density : float
-        Logarithm of the cane's density over that of the drawing.
+        Components of H4's cane.
+    shift : CaneShift
+        How the cane differs from it, and from the drawing's density.
     series : Series
+    frequencies_hz : (n,) float
     """
-    cane = cane_of(values, series)
-    E, G = cane.young_L, cane.shear_LT
-    storage = [1e-6 * float(storage_modulus_pa(z, QUOTED_HZ)) for z in (E, G)]
-    whole = np.array([E.spring_mpa, E.arm_spring_mpa, G.spring_mpa, G.arm_spring_mpa, *storage])
-    return np.asarray(whole * np.exp(-log_density))
+    cane, quoted_hz = cane_of(values, series), np.array([QUOTED_HZ])
+    springs, storage = [], []
+    for zener, (log, growth) in zip((cane.young_L, cane.shear_LT), _logs(shift), strict=True):
+        springs.append(_springs_mpa(zener, log, growth, frequencies_hz))
+        storage.append(1e-6 * np.exp(log) * storage_modulus_pa(zener, quoted_hz))
+    return np.concatenate([*springs, *storage])
+
+
+def _logs(shift: CaneShift) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return for E_L and G_LT over density the log of a factor, and an additional growth."""
+    return (
+        (shift.E_L - shift.density, shift.growth_E_L),
+        (shift.G_LT - shift.density, shift.growth_G_LT),
+    )
+
+
+def _springs_mpa(zener: Zener, log: float, growth: float, hz: Array) -> Array:
+    """Return both springs of a Zener body whose storage modulus is that of another, shifted."""
+    spring = replace(zener, arm_spring_mpa=0.0)
+    alone = storage_modulus_pa(spring, hz) / zener.spring_mpa
+    arm = (storage_modulus_pa(zener, hz) - storage_modulus_pa(spring, hz)) / zener.arm_spring_mpa
+    aim = np.exp(log) * storage_modulus_pa(zener, hz) * (hz / PIVOT_HZ) ** growth
+    columns = np.stack([alone, arm], axis=1) / aim[:, None]
+    return np.asarray(np.linalg.lstsq(columns, np.ones(len(hz)), rcond=None)[0])
 
 
 def components_over_density(
-    values: Array, log_density: float, frequencies_hz: Mapping[Series, Array]
+    values: Array, shift: CaneShift, frequencies_hz: Mapping[Series, Array]
 ) -> Array:
     """Return components (c,) of cane of the drawing's density whose moduli are most similar.
 
@@ -61,25 +88,33 @@ def components_over_density(
     Parameters
     ----------
     values : (c,) float
-    log_density : float
+    shift : CaneShift
+        See `moduli_mpa`.
     frequencies_hz : mapping of (n,) float
     """
-    aim, near = _log_moduli(values, frequencies_hz) - log_density, values
-    for _ in range(_STEPS if log_density else 0):
+    aim = _log_moduli(values, shift, frequencies_hz)
+    near, none = values, CaneShift()
+    for _ in range(_STEPS if shift != none else 0):
         steps = _DIFFERENCE * np.eye(len(near))
         slopes = [
-            (_log_moduli(near + d, frequencies_hz) - _log_moduli(near - d, frequencies_hz))
+            (
+                _log_moduli(near + d, none, frequencies_hz)
+                - _log_moduli(near - d, none, frequencies_hz)
+            )
             / (2 * _DIFFERENCE)
             for d in steps
         ]
-        missing = aim - _log_moduli(near, frequencies_hz)
+        missing = aim - _log_moduli(near, none, frequencies_hz)
         near = near + np.linalg.lstsq(np.stack(slopes, axis=1), missing, rcond=None)[0]
     return near
 
 
-def _log_moduli(values: Array, frequencies_hz: Mapping[Series, Array]) -> Array:
+def _log_moduli(values: Array, shift: CaneShift, frequencies_hz: Mapping[Series, Array]) -> Array:
     found = []
     for series, hz in frequencies_hz.items():
         cane = cane_of(values, series)
-        found += [storage_modulus_pa(zener, hz) for zener in (cane.young_L, cane.shear_LT)]
-    return np.asarray(np.log(np.concatenate(found)))
+        for zener, (log, growth) in zip((cane.young_L, cane.shear_LT), _logs(shift), strict=True):
+            found.append(
+                np.log(storage_modulus_pa(zener, hz)) + log + growth * np.log(hz / PIVOT_HZ)
+            )
+    return np.concatenate(found)

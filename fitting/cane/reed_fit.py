@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.stats import truncnorm
 
 from fitting.cane.excess_scatter import added_cents, is_misfit
-from fitting.cane.model_errors import ModelErrors
+from fitting.cane.model_errors import CANE, ModelErrors, cane_shift
 from fitting.cane.over_density import (
     MODULI,
     cane_of,
@@ -203,7 +203,7 @@ class _Problem:
     patterns : (n, q) float
         By which causes move resonances, in cents.
     positive : (q,) bool
-    log_density : (q,) float
+    cane : (q, 5) float
         See `ModelErrors`.
     """
 
@@ -212,7 +212,7 @@ class _Problem:
     count: int
     patterns: Array
     positive: Mask
-    log_density: Array
+    cane: Array
 
     @property
     def start(self) -> Array:
@@ -260,7 +260,7 @@ def _problem(
 ) -> _Problem:
     """Put resonances and causes together: a cause that belongs to a clamping, in each series."""
     if unknown is None:
-        none, nothing = np.zeros(0, dtype=bool), np.zeros(0)
+        none, nothing = np.zeros(0, dtype=bool), np.zeros((0, len(CANE)))
         return _Problem(observed, model, count, np.zeros((len(observed), 0)), none, nothing)
     rows = [unknown.modes.index(o.name) for o in observed]
     each, series = unknown.cents[:, rows].T, sorted({o.series for o in observed})
@@ -269,7 +269,7 @@ def _problem(
     causes = np.concatenate([shared, *[clamped] * len(series)])
     patterns = np.hstack([each[:, shared], *own])
     return _Problem(
-        observed, model, count, patterns, unknown.positive[causes], unknown.log_density[causes]
+        observed, model, count, patterns, unknown.positive[causes], unknown.cane[causes]
     )
 
 
@@ -379,9 +379,10 @@ def _over_density(
     count = problem.count
 
     def reported(values: Array) -> Array:
-        e, density = values[:count], float(problem.log_density @ values[count:])
-        moduli = [moduli_mpa(e, density, s) for s in series]
-        return np.concatenate([components_over_density(e, density, hz), *moduli])
+        e = values[:count]
+        shift = cane_shift(values[count:], problem.cane)
+        moduli = [moduli_mpa(e, shift, s, hz[s]) for s in series]
+        return np.concatenate([components_over_density(e, shift, hz), *moduli])
 
     step = 1e-4 * np.eye(len(values))
     jacobian = np.stack([(reported(values + d) - reported(values - d)) / 2e-4 for d in step], 1)

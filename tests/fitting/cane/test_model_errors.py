@@ -8,12 +8,20 @@ from scipy.stats import halfnorm
 
 from fitting.cane import fit_runs
 from fitting.cane.fit_runs import _parameters
-from fitting.cane.model_errors import model_errors
+from fitting.cane.model_errors import CANE as NUMBERS
+from fitting.cane.model_errors import cane_shift, model_errors
 from fitting.cane.over_density import MODULI, components_over_density, moduli_mpa
 from fitting.cane.reed_fit import _never_negative, fit_components
 from fitting.forward import hz_of, viscoelastic_cents
 from fitting.resonance import Resonance
-from physics.mechanics import HIGHEST_HZ, Mechanics, RandomLayer, ReedSolver, YieldingClamp
+from physics.mechanics import (
+    HIGHEST_HZ,
+    CaneShift,
+    Mechanics,
+    RandomLayer,
+    ReedSolver,
+    YieldingClamp,
+)
 from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.mode_classification import PAPER_MODES
@@ -98,6 +106,22 @@ def test_a_yielding_clamp_is_not_taken_for_soft_cane(model, unknown):
     assert abs(off) < 0.01
 
 
+def young_modulus(values, shift):
+    """Young's modulus at 4 kHz over density."""
+    moduli = moduli_mpa(values, shift, Series.A, np.array([2e3, 4e3, 8e3]))
+    return moduli[MODULI.index("E_4kHz_mpa")]
+
+
+def with_cane_of_h4(unknown):
+    """Return the errors of a model that expects H4's cane of the drawing's density."""
+    known = np.array([cause in NUMBERS for cause in unknown.causes])[:, None]
+    return replace(
+        unknown,
+        cents=np.where(known, 0.0, unknown.cents),
+        cane=np.where(known, 0.0, unknown.cane),
+    )
+
+
 def test_clamps_that_all_yield_leave_no_bias(model, unknown):
     """A clamp yields or not; to expect as much of the opposite makes all cane look soft.
 
@@ -107,7 +131,7 @@ def test_clamps_that_all_yield_leave_no_bias(model, unknown):
     sizes = halfnorm.ppf((np.arange(12) + 0.5) / 12)
     yielding = pattern(unknown, "clamp_compliance")
     both_ways = replace(unknown, positive=np.zeros(len(unknown.causes), dtype=bool))
-    truth = moduli_mpa(np.array([0.5, -0.4, 0.3]), 0.0, Series.A)[MODULI.index("E_4kHz_mpa")]
+    truth = young_modulus(np.array([0.5, -0.4, 0.3]), CaneShift())
     bias = []
     for errors in (unknown, both_ways):
         E = [
@@ -134,18 +158,13 @@ def test_normal_values_are_cut_at_zero():
 
 def test_dense_cane_is_not_taken_for_soft_cane(model, unknown):
     """Frequencies of a dense reed fall together, and those of cane of H4 cannot."""
-    log_density = float(unknown.log_density.sum())
+    dense_cane = CaneShift(density=float(unknown.cane[:, NUMBERS.index("density")].sum()))
     found = {Series.A: swept(model, pattern(unknown, "density"))}
-    known = np.array([cause == "density" for cause in unknown.causes])
-    without = replace(
-        unknown,
-        cents=np.where(known[:, None], 0.0, unknown.cents),
-        log_density=np.zeros(len(known)),
-    )
+    without = with_cane_of_h4(unknown)
     plain = {Series.A: swept(model, np.zeros(11))}
-    values, E = np.array([0.5, -0.4, 0.3]), MODULI.index("E_4kHz_mpa")
+    values = np.array([0.5, -0.4, 0.3])
     # What the clamp may do is the same in both reeds.
-    truth = moduli_mpa(values, log_density, Series.A)[E] / moduli_mpa(values, 0.0, Series.A)[E]
+    truth = young_modulus(values, dense_cane) / young_modulus(values, CaneShift())
     off = []
     for errors in (without, unknown):
         dense, other = (
@@ -157,23 +176,45 @@ def test_dense_cane_is_not_taken_for_soft_cane(model, unknown):
     assert abs(off[1]) < 0.01
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_cane_that_leaves_h4_is_not_taken_for_other_cane(model, unknown, sign):
+    """Bending as much stiffer than by H4 as ten in a hundred reeds, and twice that."""
+    by_h4 = with_cane_of_h4(unknown)
+    plain, values = {Series.A: swept(model, np.zeros(11))}, np.array([0.5, -0.4, 0.3])
+    for size in (1.65, 3.3):
+        amounts = np.where(np.array(unknown.causes) == "E_L", sign * size, 0.0)
+        shift = cane_shift(amounts, unknown.cane)
+        found = {Series.A: swept(model, amounts @ unknown.cents)}
+        truth = young_modulus(values, shift) / young_modulus(values, CaneShift())
+        pulls = []
+        for errors in (by_h4, unknown):
+            other, E = (
+                fit_components(each, model, errors).moduli["A"]["E_4kHz_mpa"]
+                for each in (plain, found)
+            )
+            pulls.append((E.value / other.value / truth - 1) * E.value / E.error)
+        assert abs(pulls[1]) < 1.3
+        if size > 2:
+            assert abs(pulls[0]) > 2.0
+
+
 @pytest.mark.slow
 def test_components_and_moduli_of_reeds_drawn_from_these_errors_are_covered(model, unknown):
     rng, pulls, values = np.random.default_rng(5), [], np.array([0.5, -0.4, 0.3])
     hz = hz_of(viscoelastic_cents(model, viscoelastic_cane(CANE, Series.A), Series.A))
     for _ in range(40):
         drawn = rng.standard_normal(len(unknown.causes))
+        drawn = np.where(unknown.positive, np.abs(drawn), drawn)
         own = np.hypot(1.0, unknown.own_cents) * rng.standard_normal(11)
-        log_density = float(drawn @ unknown.log_density)
+        shift = cane_shift(drawn, unknown.cane)
         found = fit_components(
             {Series.A: swept(model, drawn @ unknown.cents + own)}, model, unknown
         )
-        truth = components_over_density(values, log_density, {Series.A: hz})
+        truth = components_over_density(values, shift, {Series.A: hz})
         stated = found.components.values()
         pull = [(e.value - true) / e.error for e, true in zip(stated, truth, strict=True)]
         E = found.moduli["A"]["E_4kHz_mpa"]
-        true_mpa = moduli_mpa(values, log_density, Series.A)[MODULI.index("E_4kHz_mpa")]
-        pulls.append([*pull, (E.value - true_mpa) / E.error])
+        pulls.append([*pull, (E.value - young_modulus(values, shift)) / E.error])
     assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.25)
 
 

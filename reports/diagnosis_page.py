@@ -141,6 +141,16 @@ def _known_words(known: KnownGap) -> str:
     )
 
 
+def _action(verdict: Diagnosis) -> str:
+    """Return the one thing to do next."""
+    best = next(iter(verdict.next_experiments), None)
+    if best is not None and best.expected_nats >= _LEAST_NATS:
+        return f"What to do next: {best.experiment.description} ({best.experiment.minutes:g} min)."
+    if verdict.missing:
+        return f"What to do next: measure what is missing: {verdict.missing[0]}."
+    return "What to do next: nothing. No further measurement would help to decide."
+
+
 def _next_words(verdict: Diagnosis) -> str:
     best = verdict.next_experiments[0]
     if best.expected_nats < _LEAST_NATS:
@@ -207,16 +217,15 @@ class _Section:
     title: str
     tables: tuple[Table, ...] = ()
     text: str = ""
-    picture: Picture | None = None
 
 
 def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
-    """Return the whole page."""
+    """Return the whole page: a sentence, an action and a picture; everything else is folded."""
     between = "no two candidates"
     if verdict.compared[0]:
         between = f"{_title(verdict.compared[0])} and {_title(verdict.compared[1])}"
     sections = (
-        _where_section(verdict.gap),
+        _stages(verdict.gap),
         _Section("Likeliest causes", (_causes(verdict), _triggers(verdict))),
         _Section("How much of the difference is explained", (_plain(verdict),), _NOT_PROOF),
         *_known_section(verdict.known),
@@ -228,13 +237,20 @@ def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
         _Section("What these runs could have shown", (_detectability(verdict),)),
     )
     return render(
-        "diagnosis.html", _PAGE, title, sentences=words(verdict), sections=sections, runs=runs
+        "diagnosis.html",
+        _PAGE,
+        title,
+        sentences=words(verdict),
+        action=_action(verdict),
+        picture=_map(verdict.gap),
+        sections=sections,
+        runs=runs,
     )
 
 
-def _where_section(where: GapMap) -> _Section:
-    """Return the map of the gap, and how it is shared among the stages of the measurement."""
-    picture = Picture(
+def _map(where: GapMap) -> Picture:
+    """Return the map of the gap."""
+    return Picture(
         png_of(draw_map(where), dpi=110),
         "Gap of every group of observables by frequency band, mode, time, level and region",
         "Gap: difference between measurement and simulation, divided by its standard error (of "
@@ -244,13 +260,17 @@ def _where_section(where: GapMap) -> _Section:
         "such observables.",
         wide=True,
     )
-    title = "Where measurement and simulation differ"
+
+
+def _stages(where: GapMap) -> _Section:
+    """Return how the gap is shared among the stages of the measurement."""
+    title = "How the difference is shared among the stages of the measurement"
     if not where.ladder:
         text = (
             "All observables together do not differ by more than chance explains, so the gap is "
             "not divided among stages."
         )
-        return _Section(title, (), text, picture)
+        return _Section(title, (), text)
     columns = (
         Column("stage", "stage"),
         Column("forward", "share of the gap, from the front", "", ".0%",
@@ -261,7 +281,7 @@ def _where_section(where: GapMap) -> _Section:
     )  # fmt: skip
     rows = tuple((GROUP_WORDS[r.observable], r.forward, r.backward, r.error)
                  for r in where.ladder)  # fmt: skip
-    return _Section(title, (Table(columns, rows),), "", picture)
+    return _Section(title, (Table(columns, rows),))
 
 
 def _causes(verdict: Diagnosis) -> Table:

@@ -55,7 +55,7 @@ def draw_map(where: GapMap) -> Figure:
     axes[0].set_yticks(range(len(blocks)), names, fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01, extend="max")
     bar.ax.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
-    bar.set_label("gap / standard error (grey: by chance, white: none)", fontsize=8)
+    bar.set_label("gap / standard error", fontsize=8)
     return figure
 
 

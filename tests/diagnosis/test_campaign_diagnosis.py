@@ -209,6 +209,19 @@ def test_the_page_has_all_of_it(mixed, tmp_path) -> None:
         write_page(mixed, "A reed", tmp_path / "nowhere" / "page.html")
 
 
+def test_a_sentence_an_action_and_a_picture_are_seen_and_all_else_is_folded(mixed, nothing) -> None:
+    for verdict in (mixed, nothing):
+        page = document(verdict, "A reed")
+        seen = re.sub(r"<details>.*?</details>", "", page, flags=re.DOTALL)
+        assert words(verdict)[0] in seen
+        assert seen.count("<p") == 2
+        assert seen.count("<img") == page.count("<img") == 1
+        assert "<table" in page
+        assert "<table" not in seen
+    helpful = replace(mixed, missing=(), next_experiments=())
+    assert "nothing" in re.findall(r'<p class="action">(.*?)</p>', document(helpful, "A reed"))[0]
+
+
 def test_an_older_page_is_replaced_and_nothing_else(mixed, nothing, tmp_path, monkeypatch) -> None:
     page, mine = tmp_path / "page.html", tmp_path / "mine.html"
     write_page(nothing, "A reed", page)
@@ -238,8 +251,8 @@ def test_names_are_text_on_the_page_and_in_its_picture(mixed) -> None:
     page = document(verdict, hostile, [hostile])
     assert "<script" not in page
     assert "\x1b" not in page
-    # Title, heading, sentence and sources.
-    assert page.count(html.escape(shown)) == 4
+    # Title, heading, action, sentence and sources.
+    assert page.count(html.escape(shown)) == 5
     labels = [text.get_text() for ax in draw_map(verdict.gap).axes for text in ax.get_xticklabels()]
     assert shown in labels
 

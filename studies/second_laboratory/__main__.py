@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import acquire
+from runs.reader import Run
 from studies.second_laboratory.bench import SENSORS, bench_file, protocol, reed_truth
 from studies.second_laboratory.parameters import Disorder, draw_bench, draw_reed
 from studies.second_laboratory.scoring import HIGHEST_HZ, comparisons, scores, table_lines
@@ -85,7 +86,7 @@ def _measure(
     if not truth.exists():
         reed, bench = draw_reed(ranges, series, seed), draw_bench(ranges, seed)
         truth.write_text(json.dumps(reed_truth(reed, bench), indent=1), "utf-8")
-    if path.exists():
+    if _complete(path):
         return
     sweep = protocol(series, sensor)
     volts = {"drive.from": f"{0.5 * drive:g} V", "drive.to": f"{16 * drive:g} V"}
@@ -95,6 +96,17 @@ def _measure(
         sweep.replace({**volts, **patience}), bench_file(series, seed, seed, disorder)
     )
     acquire.run(plan, path, reed=f"S{seed}", seed=seed)
+
+
+def _complete(path: Path) -> bool:
+    """Whether a sweep is measured; the files of one that was interrupted are removed."""
+    if path.exists():
+        with Run.open(path) as run:
+            if run.status == "complete":
+                return True
+    for file in (path, path.with_suffix(".documents.jsonl"), path.with_suffix(".fit.json")):
+        file.unlink(missing_ok=True)
+    return False
 
 
 def _fit(path: Path, again: bool) -> dict[str, Any]:

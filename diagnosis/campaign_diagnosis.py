@@ -17,6 +17,7 @@ from diagnosis.explained_fraction import (
     explained_fraction,
     gaps_in_units,
 )
+from diagnosis.floor_certificate import Floor, floor_certificate
 from diagnosis.gap_map import GapMap, gap_map
 from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies
@@ -85,6 +86,8 @@ class Diagnosis:
         which group of observables.
     checks : tuple of PredictiveCheck
         Predictive checks of what is named.
+    floor : tuple of Floor
+        How far the errors of each group can be trusted, given what is named.
     explained_with : tuple of str
         The effects named, or else the one that explains most by itself.
     explained, explained_other_sweep : ExplainedFraction or None
@@ -118,6 +121,7 @@ class Diagnosis:
     unknown_with: str
     unknown_in: str
     checks: tuple[PredictiveCheck, ...]
+    floor: tuple[Floor, ...]
     explained_with: tuple[str, ...]
     explained: ExplainedFraction | None
     explained_other_sweep: ExplainedFraction | None
@@ -229,6 +233,7 @@ def _judged(
         unknown_with=unknown_with,
         unknown_in=_likeliest_group(problem, found.candidate(unknown_with) or found.null),
         checks=predictive_checks(problem, named_or_none, _only(problem, condition)),
+        floor=floor_certificate(problem, named_or_none),
         explained_with=chosen.names,
         explained=explained_fraction(found.null, chosen, _where(groups, acts)),
         explained_other_sweep=(

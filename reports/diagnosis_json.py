@@ -59,6 +59,10 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
             "group": verdict.unknown_in,
             "checks": [asdict(t) | {"significant": t.significant} for t in verdict.checks],
         },
+        "floor": [
+            asdict(floor) | {"scatter": _finite(floor.scatter), "trusted": floor.trusted}
+            for floor in verdict.floor
+        ],
         "missing": list(verdict.missing),
         "refused": list(verdict.refused),
     }

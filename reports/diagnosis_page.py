@@ -235,6 +235,7 @@ def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
             f"How much each measurement is expected to help to decide between {between}.",
         ),
         _Section("What these runs could have shown", (_detectability(verdict),)),
+        _Section("How far the errors can be trusted", (_floor(verdict),), _floor_words(verdict)),
     )
     return render(
         "diagnosis.html",
@@ -361,6 +362,35 @@ def _actions(verdict: Diagnosis) -> Table:
     rows = tuple(
         (w.experiment.description, w.experiment.minutes, w.expected_nats, w.nats_per_minute)
         for w in verdict.next_experiments
+    )
+    return Table(columns, rows)
+
+
+def _floor_words(verdict: Diagnosis) -> str:
+    doubtful = [floor for floor in verdict.floor if not floor.trusted]
+    if not doubtful:
+        return "All groups of observables scatter as their errors say."
+    said = "; ".join(
+        f"{floor.group} (repeated numbers scatter {floor.scatter:.1f} times as much)"
+        if floor.replicates
+        else f"{floor.group} (noise {floor.factor:.1f} times as large)"
+        for floor in doubtful
+    )
+    return f"Groups that scatter more than their errors say, and count less for that: {said}."
+
+
+def _floor(verdict: Diagnosis) -> Table:
+    columns = (
+        Column("group", "group of observables"),
+        Column("count", "numbers", "", "d"),
+        Column("replicates", "repeated", "", "d", "differences between repeated numbers"),
+        Column("scatter", "scatter", "", ".2f",
+               "of repeated numbers around what is named, divided by what their errors predict"),
+        Column("chance", "by chance", "", ".1%", "probability of so much scatter by chance"),
+        Column("factor", "noise times", "", ".2f", "by how much the fit increased the noise"),
+    )  # fmt: skip
+    rows = tuple(
+        (f.group, f.count, f.replicates, f.scatter, f.chance, f.factor) for f in verdict.floor
     )
     return Table(columns, rows)
 

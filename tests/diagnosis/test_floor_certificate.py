@@ -1,0 +1,84 @@
+"""Floor certificate: repeated numbers against their errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.campaign_diagnosis import CampaignSummary, diagnose_problem
+from diagnosis.floor_certificate import Floor, floor_certificate
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.observable_groups import Coordinates, Observable, observable_group
+from physics.parameters.tree import BenchParameters
+from reports.diagnosis_json import to_json
+from reports.diagnosis_page import document
+from tests.diagnosis.toy import LEVEL, bench, fitted, measured
+
+
+def repeated(scatter: float, errors: float = 1.0, seed: int = 5) -> InferenceProblem:
+    """Four modes in six sweeps, with a level that is a nuisance, and clocks that are read once."""
+    rng = np.random.default_rng(seed)
+    places = [
+        Coordinates("hz", mode=f"F{m}", time=f"sweep {k}") for k in range(6) for m in range(4)
+    ]
+    values = 3.0 + scatter * rng.standard_normal(24)
+    many = observable_group(
+        "modes", Observable.MODES, values, np.full(24, errors), places, ("optics",),
+        lambda parameters: np.full(24, parameters.optics.interference.fade_per_h),
+    )  # fmt: skip
+    once = observable_group(
+        "clock", Observable.LOG, [0.1], np.array([0.2]), [Coordinates("clock")], ("clocks",),
+        lambda parameters: np.array([parameters.clocks.detuning_hz]),
+    )  # fmt: skip
+    return InferenceProblem([many, once], BenchParameters(), (replace(LEVEL, spread=10.0),))
+
+
+def floors_of(problem: InferenceProblem) -> dict[str, Floor]:
+    return {floor.group: floor for floor in floor_certificate(problem, fitted(problem))}
+
+
+def test_numbers_that_scatter_as_their_errors_say_are_trusted() -> None:
+    found = floors_of(repeated(1.0))
+    assert found["modes"].trusted
+    assert (found["modes"].count, found["modes"].replicates) == (24, 20)
+    assert found["modes"].scatter == pytest.approx(1.0, abs=3 / np.sqrt(2 * 20))
+    assert found["modes"].chance > 0.01
+
+
+def test_chances_are_evenly_distributed_where_errors_are_right() -> None:
+    chances = np.sort([floors_of(repeated(1.0, seed=seed))["modes"].chance for seed in range(60)])
+    # Kolmogorov's 1 % limit for 60 numbers.
+    assert np.abs(chances - (np.arange(60) + 0.5) / 60).max() < 1.63 / np.sqrt(60)
+
+
+def test_numbers_that_scatter_three_times_as_much_are_not_trusted() -> None:
+    found = floors_of(repeated(3.0))
+    assert not found["modes"].trusted
+    assert found["modes"].scatter == pytest.approx(3.0, rel=3 / np.sqrt(2 * 20))
+    assert found["modes"].chance < 1e-6
+    assert found["modes"].factor > 1.5
+    assert found["clock"].trusted
+
+
+def test_what_is_measured_once_has_no_replicates() -> None:
+    clock = floors_of(repeated(1.0))["clock"]
+    assert (clock.replicates, clock.chance) == (0, 1.0)
+    assert np.isnan(clock.scatter)
+
+
+def test_what_replicates_have_in_common_does_not_count() -> None:
+    problem = repeated(1.0)
+    (modes, clock), shift = problem.groups, np.tile([0.0, 40.0, -30.0, 7.0], 6)
+    moved = replace(modes, values=modes.values + shift)
+    other = InferenceProblem([moved, clock], problem.base, problem.nuisances)
+    one, two = (floors_of(each)["modes"].scatter for each in (problem, other))
+    assert one == pytest.approx(two, rel=1e-6)
+
+
+def test_page_and_json_name_groups_that_are_not_trusted() -> None:
+    verdict = diagnose_problem(measured(3, bench(leak=0.3)), CampaignSummary("t3"))
+    assert [floor["group"] for floor in to_json(verdict)["floor"]] == ["lines", "clocks"]
+    assert all(floor["trusted"] for floor in to_json(verdict)["floor"])
+    bad = Floor("lines", 60, 52, 2.46, 1e-9, 1.9)
+    page = document(replace(verdict, floor=(bad, *verdict.floor[1:])), "A reed")
+    assert "lines (repeated numbers scatter 2.5 times as much)" in page

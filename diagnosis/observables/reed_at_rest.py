@@ -106,8 +106,12 @@ def _spread_between(
     Few acquisitions hardly determine their own scatter, so that it is combined with the walk of the
     phase between them.
     """
-    left = np.concatenate([turn - turn.mean() for turn in turns])
-    freedoms = max(len(left) - len(turns), 0)
+    several = [turn for turn in turns if turn.size]
+    if not several:
+        # A single acquisition turns by nothing that could be seen.
+        return np.inf
+    left = np.concatenate([turn - turn.mean() for turn in several])
+    freedoms = len(left) - len(several)
     each_frame = (len(TURN_OF_FRAMES) - 1) * within_rad**2
     walked = each_frame * rate_hz * float(np.mean(np.concatenate(gaps)))
     return float(np.sqrt((np.sum(left**2) + _BELIEVED * walked) / (freedoms + _BELIEVED)))

@@ -145,7 +145,7 @@ def minimise_cost(model: Model, data: Data, prior: Prior, state: State, iteratio
         Largest number of Levenberg-Marquardt steps.
     """
     # A scatter that another ripple left would be near another minimum.
-    state = replace(state, scatter=np.zeros(len(state.scatter)))
+    state = replace(state, scatter=np.zeros(len(state.log_drive)))
     at, damping = evaluate(model, data, prior, state), _FIRST_DAMPING
     force = negative_gradient(model, data, prior, at)
     for _ in range(iterations):

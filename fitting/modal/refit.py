@@ -193,5 +193,9 @@ def _moved(modal: ModalFit, before: BlockAmplitudes, now: BlockAmplitudes) -> Mo
         drive_forms=tuple(form.at(at, louder) for form in modal.drive_forms),
         participations=modal.participations[at],
         off=np.zeros(len(at), dtype=bool),
-        state=replace(modal.state, log_drive=modal.state.log_drive[at] + np.log(louder)),
+        state=replace(
+            modal.state,
+            log_drive=modal.state.log_drive[at] + np.log(louder),
+            scatter=modal.state.scatter[at],
+        ),
     )

@@ -38,6 +38,7 @@ from fitting.modal.normal_equations import (
 )
 from fitting.modal.optimiser import inverse, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior
+from fitting.modal.refit import _moved
 from fitting.modal.rounds import LAST, one_round
 from tests.numbers import cents, complex_normal
 
@@ -489,6 +490,39 @@ def test_a_sweep_tells_as_much_if_the_form_of_its_drive_is_known_as_if_it_is_fou
     )
     assert (np.abs(cents(again.hz, found.hz)) < 0.5 * found.error_cents).all()
     assert again.error_cents == pytest.approx(found.error_cents, rel=0.35)
+
+
+@pytest.mark.parametrize("missing", [(), (3,), (0, 50, 51, 103)])
+def test_another_sweep_may_have_other_steps(missing):
+    """Steps are bad in one sweep and good in another, and may be at another level."""
+    sweep = planted(6)
+    found, steps = sweep.fit(), np.delete(np.arange(len(DRIVE_HZ)), missing)
+    before, now = (
+        SimpleNamespace(drive_hz=DRIVE_HZ[at], volts=volts * np.ones(len(at)))
+        for at, volts in ((np.arange(len(DRIVE_HZ)), 1.0), (steps, 0.5))
+    )
+    known = _moved(found, before, now)
+    assert len(known.state.scatter) == len(known.state.log_drive) == len(steps)
+    whole = sweep.displacements
+    fields = {
+        name: getattr(whole, name)[steps]
+        for name in ("information", "recording_rank", "misfit", "gain", "reached")
+    }
+    error = whole.common_mode
+    fewer = replace(
+        whole,
+        amplitude_rad=0.5 * whole.amplitude_rad[steps],
+        common_mode=CommonModeError(
+            error.response[steps], error.precision[steps], error.pull[steps]
+        ),
+        **(fields | {"information": 4 * fields["information"]}),
+    )
+    again = fit_modes_with_known_drive(fewer, sweep.basis, now.drive_hz, sweep.start_hz, known)
+    assert (np.abs(cents(again.hz, found.hz)) < found.error_cents).all()
+    back = fit_modes_with_known_drive(
+        whole, sweep.basis, DRIVE_HZ, sweep.start_hz, _moved(again, now, before)
+    )
+    assert (np.abs(cents(back.hz, found.hz)) < found.error_cents).all()
 
 
 def test_explanations_of_a_drive_keep_their_probabilities(sweep):

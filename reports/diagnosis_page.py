@@ -143,6 +143,14 @@ def _known_words(known: KnownGap) -> str:
 
 def _action(verdict: Diagnosis) -> str:
     """Return the one thing to do next."""
+    if verdict.effects and len(verdict.shown) == 1:
+        checks = "; ".join(notes_of(BY_ID[name]).check for name in verdict.effects)
+        return (
+            f"What to do next: {checks}. If that agrees, write the cause into the bench file "
+            "(acquire diagnose … --adopt BENCH.yaml), and measure a campaign with it."
+        )
+    if verdict.kind == "none" and len(verdict.shown) == 1 and not verdict.missing:
+        return "What to do next: nothing. Measurement and simulation agree."
     best = next(iter(verdict.next_experiments), None)
     if best is not None and best.expected_nats >= _LEAST_NATS:
         return f"What to do next: {best.experiment.description} ({best.experiment.minutes:g} min)."

@@ -20,7 +20,7 @@ from diagnosis.campaign_diagnosis import (
     diagnose_problem,
 )
 from diagnosis.effect_notes import notes_of
-from diagnosis.experiment_design import Experiment, rank_experiments
+from diagnosis.experiment_design import Experiment, RankedExperiment, rank_experiments
 from diagnosis.explained_fraction import gaps_in_units
 from diagnosis.gap_map import LadderStep
 from diagnosis.inference.nuisances import Nuisance
@@ -218,8 +218,22 @@ def test_a_sentence_an_action_and_a_picture_are_seen_and_all_else_is_folded(mixe
         assert seen.count("<img") == page.count("<img") == 1
         assert "<table" in page
         assert "<table" not in seen
-    helpful = replace(mixed, missing=(), next_experiments=())
-    assert "nothing" in re.findall(r'<p class="action">(.*?)</p>', document(helpful, "A reed"))[0]
+
+
+def test_the_action_fits_the_verdict(mixed, nothing) -> None:
+    def action(verdict: Diagnosis) -> str:
+        return re.findall(r'<p class="action">(.*?)</p>', document(verdict, "A reed"))[0]
+
+    check = notes_of(BY_ID["sideband_crosstalk"]).check
+    assert check in action(mixed)
+    assert "--adopt" in action(mixed)
+    # A verdict that is not sure needs what separates it from the next one.
+    experiment = Experiment("wax", "put wax on the tip", 10.0, (), lambda parameters: parameters)
+    best = RankedExperiment(experiment, expected_nats=2.0, nats_per_minute=0.2)
+    unsure = replace(mixed, shown=(*mixed.shown, ("none",)), next_experiments=(best,))
+    assert "put wax on the tip (10 min)" in action(unsure)
+    assert nothing.missing[0] in action(nothing)
+    assert "nothing" in action(replace(nothing, missing=(), next_experiments=()))
 
 
 def test_an_older_page_is_replaced_and_nothing_else(mixed, nothing, tmp_path, monkeypatch) -> None:
@@ -251,8 +265,8 @@ def test_names_are_text_on_the_page_and_in_its_picture(mixed) -> None:
     page = document(verdict, hostile, [hostile])
     assert "<script" not in page
     assert "\x1b" not in page
-    # Title, heading, action, sentence and sources.
-    assert page.count(html.escape(shown)) == 5
+    # Title, heading, sentence and sources.
+    assert page.count(html.escape(shown)) == 4
     labels = [text.get_text() for ax in draw_map(verdict.gap).axes for text in ax.get_xticklabels()]
     assert shown in labels
 

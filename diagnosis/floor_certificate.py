@@ -6,6 +6,7 @@ a fit is noise and disorder. Each hypothesis has a factor on the noise of each g
 0052): a group that scatters more counts less, and this says which one and why.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +53,7 @@ class Floor:
     @property
     def trusted(self) -> bool:
         """Whether replicates scatter as errors say, and errors did not have to be increased."""
-        return self.chance >= _CHANCE and np.log(self.factor) <= _UNUSUAL * MEASURED
+        return self.chance >= _CHANCE and math.log(self.factor) <= _UNUSUAL * MEASURED
 
 
 def floor_certificate(problem: InferenceProblem, candidate: Candidate) -> tuple[Floor, ...]:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import acquire
-from runs.reader import Run
 from studies.second_laboratory.bench import SENSORS, bench_file, protocol, reed_truth
 from studies.second_laboratory.parameters import Disorder, draw_bench, draw_reed
 from studies.second_laboratory.scoring import HIGHEST_HZ, comparisons, scores, table_lines
@@ -101,7 +100,7 @@ def _measure(
 def _complete(path: Path) -> bool:
     """Whether a sweep is measured; the files of one that was interrupted are removed."""
     if path.exists():
-        with Run.open(path) as run:
+        with acquire.open_run(path) as run:
             if run.status == "complete":
                 return True
     for file in (path, path.with_suffix(".documents.jsonl"), path.with_suffix(".fit.json")):

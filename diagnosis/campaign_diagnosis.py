@@ -38,9 +38,9 @@ from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Stage
-from physics.effects.sized import SizedEffect
 from physics.mechanics import ReedSolver, YieldingClamp
 from physics.parameters.tree import BenchParameters, with_alteration
+from physics.sized_effect import SizedEffect
 
 Kind = Literal["none", "effect", "pair", "unknown", "not converged"]
 

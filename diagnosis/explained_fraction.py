@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.estimation import residual_covariance
 from diagnosis.inference.problem import InferenceProblem
-from physics.effects.sized import SizedEffect
+from physics.sized_effect import SizedEffect
 
 _DRAWS = 2000
 # A gap that chance makes more often than this is not resolvable.

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from physics.effects.sized import SizedEffect
 from physics.parameters.optics import Layout
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
+from physics.sized_effect import SizedEffect
 from protocols.bench import BenchFile
 from protocols.bench_parameters import (
     known_effects,

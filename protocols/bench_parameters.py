@@ -8,7 +8,6 @@ from typing import Final
 
 from physics.effects.catalogue import BY_ID
 from physics.effects.effect import Parameter
-from physics.effects.sized import SizedEffect
 from physics.mechanics import Mechanics
 from physics.parameters.chamber import Filling, chamber_of
 from physics.parameters.drive import AcousticResonance, Drive
@@ -17,6 +16,7 @@ from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import ReedGeometry
+from physics.sized_effect import SizedEffect
 from protocols.bench import BenchFile, CameraSensor
 from protocols.errors import ProtocolError
 from protocols.units import parse_quantity, shown_value

@@ -9,7 +9,6 @@ import numpy as np
 
 from holography.arrays import Array
 from physics.effects.changes import changed
-from physics.effects.sized import SizedEffect
 from physics.mechanics import Layer, RandomLayer, YieldingClamp
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import (
@@ -26,6 +25,7 @@ from physics.reed.cane.viscoelastic import (
     h4_matrix,
     require_physical,
 )
+from physics.sized_effect import SizedEffect
 
 
 @dataclass(frozen=True)

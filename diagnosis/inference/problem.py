@@ -12,8 +12,8 @@ from diagnosis.inference.nuisances import Nuisance, uncertain_sizes
 from diagnosis.observable_groups import DISORDER, ObservableGroup
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
-from physics.effects.sized import SizedEffect
 from physics.parameters.tree import BenchParameters
+from physics.sized_effect import SizedEffect
 
 _KEPT = 4096
 # Effects have not quite the form that the catalogue gives them: a share of what they do in each

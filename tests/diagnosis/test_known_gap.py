@@ -6,8 +6,8 @@ import pytest
 from diagnosis.campaign_diagnosis import CampaignSummary, diagnose_problem
 from diagnosis.inference.problem import InferenceProblem
 from physics.effects.catalogue import BY_ID
-from physics.effects.sized import SizedEffect
 from physics.parameters.tree import BenchParameters
+from physics.sized_effect import SizedEffect
 from reports.diagnosis_json import to_json
 from reports.diagnosis_page import document, words
 from tests.diagnosis.toy import LEVEL, bench, fitted, measured

@@ -15,11 +15,13 @@ from protocols.bench_parameters import known_effects, sized_effects
 from protocols.errors import ProtocolError
 from protocols.yaml_files.insertion import Entry, with_entry
 from protocols.yaml_files.strict_yaml import shipped_files
-from reports.own_output import Output, OutputKind, write_output
+from reports.own_output import Output, OutputKind, require_writable, write_output
+from reports.plain_text import visible
 
 # Any file may be replaced that was read as a bench file a moment before.
 _BENCH_FILE: Final = OutputKind("bench file", "text", "")
-# Between these powers of ten a standard error is written without an exponent.
+# Between these powers of ten a standard error is written without an exponent. Chosen: as many
+# digits as a person counts at a glance.
 _PLAIN = (-4, 3)
 
 
@@ -38,6 +40,8 @@ def require_adoptable(path: Path, used: BenchFile | None, measured: BenchFile | 
     ------
     UsageError
         If it is a file of this program, of another bench, or not the one that is used.
+    OutputRefusedError
+        If it cannot be written.
     """
     file = Path(str(find_bench(str(path)))).resolve()
     if file in {
@@ -58,6 +62,7 @@ def require_adoptable(path: Path, used: BenchFile | None, measured: BenchFile | 
             f"--adopt {path}: describes the bench {described.name!r}, but the runs are of the "
             f"bench {measured.name!r}; name the bench file with which they were measured"
         )
+    require_writable([_output(path)])
 
 
 def write_known(verdict: Diagnosis, path: Path, reed: str) -> dict[str, Entry]:
@@ -90,7 +95,9 @@ def write_known(verdict: Diagnosis, path: Path, reed: str) -> dict[str, Entry]:
         return {}
     entries = {located.effect.id: _entry(candidate, located) for located in candidate.effects}
     probability = verdict.probability_of_what_shows.get(name, 0.0)
-    comment = f"found by a diagnosis of reed {reed} (probability {probability:.0%})"
+    # A name may hold line ends, which would end the comment.
+    shown = " ".join(visible(reed).split())
+    comment = f"found by a diagnosis of reed {shown} (probability {probability:.0%})"
     _write(path, entries, comment)
     return entries
 
@@ -123,7 +130,8 @@ def size_text(size: Parameter, value: float, error: float) -> str:
 
 
 def _number(value: float, unit: str) -> str:
-    return f"{value:.6g} {unit}".strip()
+    """Write a number exactly: one at the end of its range must not leave it."""
+    return f"{value!r} {unit}".strip()
 
 
 def _write(path: Path, entries: Mapping[str, Entry], comment: str) -> None:
@@ -144,4 +152,8 @@ def _write(path: Path, entries: Mapping[str, Entry], comment: str) -> None:
     if changed or sized_effects(known_effects(after), f"{path}: known") != wanted:
         lines = "; ".join(f"{name}: {dict(entry)}" for name, entry in entries.items())
         raise ProtocolError(f"{path}: cannot be added to; write under known: by hand: {lines}")
-    write_output(Output(path, _BENCH_FILE, option="--adopt"), text)
+    write_output(_output(path), text)
+
+
+def _output(path: Path) -> Output:
+    return Output(path, _BENCH_FILE, option="--adopt")

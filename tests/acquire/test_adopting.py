@@ -66,6 +66,23 @@ def test_a_place_has_no_error(lab: Path) -> None:
     assert {name: sized.values[name] for name in place} == pytest.approx(place, rel=1e-5)
 
 
+def test_every_place_of_every_effect_can_be_read_again(lab: Path) -> None:
+    before = lab.read_bytes()
+    for effect in [each for each in BY_ID.values() if each.gridded]:
+        for end in (0, -1):
+            at = {p.name: p.grid[end] for p in effect.gridded}
+            write_known(verdict_of(effect.id, **at), lab, "R07")
+            (sized,) = sized_effects(known_effects(BenchFile.from_file(lab)), "lab")
+            assert {each: sized.values[each] for each in at} == at
+            lab.write_bytes(before)
+
+
+@pytest.mark.parametrize("reed", ["R\n07", "R\x1b[31m", "known: {x: 1}\r\n# y"])
+def test_no_name_of_a_reed_leaves_its_comment(lab: Path, reed: str) -> None:
+    write_known(verdict_of("defocus"), lab, reed)
+    assert set(known_effects(BenchFile.from_file(lab))) == {"defocus"}
+
+
 def test_a_verdict_that_names_nothing_writes_nothing(lab: Path) -> None:
     before = lab.read_bytes()
     assert write_known(verdict_of(), lab, "R07") == {}
@@ -109,6 +126,15 @@ def test_files_of_the_program_and_of_other_benches_are_refused(lab: Path) -> Non
             require_adoptable(Path(shipped), None, None)
     with pytest.raises(UsageError, match="'simulated bench'"):
         require_adoptable(lab, described, BenchFile.from_file("simulated"))
+    lab.chmod(0o444)
+    if not os.access(lab, os.W_OK):
+        with pytest.raises(BenchError, match="permission denied"):
+            require_adoptable(lab, described, described)
+    lab.chmod(0o644)
+    link = lab.with_name("link.yaml")
+    link.symlink_to(lab)
+    with pytest.raises(BenchError, match="--adopt"):
+        require_adoptable(link, described, described)
     known = described.replace({"known": {"air_load": {"fraction": 0.3}}})
     with pytest.raises(UsageError, match="--bench"):
         require_adoptable(lab, known, described)

@@ -30,6 +30,13 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
     assert best["description"].capitalize() in following.read_text(encoding="utf-8")
 
 
+def test_a_bench_file_of_the_program_is_refused_before_anything_is_fitted(cli, measured):
+    done = cli("diagnose", measured.a, "--adopt", "simulated")
+    assert done.status == 2
+    assert "copy it" in done.err
+    assert len(done.err.strip().splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -37,6 +44,8 @@ def test_one_sweep_becomes_a_page_and_a_next_campaign(cli, measured, folder):
         (["nothing.h5"], "nothing.h5"),
         (["--published", "--next", "next.yaml"], "--next"),
         (["--published", "--bench", "nothing.yaml"], "--bench"),
+        (["--published", "--adopt", "nothing.yaml"], "--adopt"),
+        (["run.h5", "--adopt", "nothing.yaml"], "nothing.yaml"),
         (["run.h5", "--out", "nowhere/page.html"], "there is no folder nowhere"),
         (["run.h5", "--next", "nowhere/next.yaml"], "with --next"),
         (["."], "holds no run files"),

@@ -44,8 +44,8 @@ _PAGE: Final = page_kind("diagnosis")
 
 
 def words(verdict: Diagnosis) -> list[str]:
-    """Return what the diagnosis says, in sentences; the first names the cause."""
-    said = [_headline(verdict), _where(verdict.gap)]
+    """Return what the diagnosis says, in sentences: the cause, what to do next, and the rest."""
+    said = [_headline(verdict), _action(verdict), _where(verdict.gap)]
     if verdict.kind != "not converged":
         said.append(f"Candidates that together have 90 % probability: {_likely_words(verdict)}.")
         low, high = verdict.likeliest_range
@@ -58,8 +58,6 @@ def words(verdict: Diagnosis) -> list[str]:
         said.append(f"{_closed_words(verdict)} {_NOT_PROOF}")
     if verdict.known is not None:
         said.append(_known_words(verdict.known))
-    if verdict.next_experiments:
-        said.append(_next_words(verdict))
     said += [f"Not measured: {what}." for what in verdict.missing]
     said += [f"Not used: {why}." for why in verdict.refused]
     return said
@@ -153,21 +151,15 @@ def _action(verdict: Diagnosis) -> str:
         return "What to do next: nothing. Measurement and simulation agree."
     best = next(iter(verdict.next_experiments), None)
     if best is not None and best.expected_nats >= _LEAST_NATS:
-        return f"What to do next: {best.experiment.description} ({best.experiment.minutes:g} min)."
+        one, other = verdict.compared
+        return (
+            f"What to do next: {best.experiment.description} ({best.experiment.minutes:g} min), to "
+            f"decide between {_title(one)} and {_title(other)} (about {best.expected_nats:.1f} "
+            "nats)."
+        )
     if verdict.missing:
         return f"What to do next: measure what is missing: {verdict.missing[0]}."
     return "What to do next: nothing. No further measurement would help to decide."
-
-
-def _next_words(verdict: Diagnosis) -> str:
-    best = verdict.next_experiments[0]
-    if best.expected_nats < _LEAST_NATS:
-        return "No further measurement would help to decide."
-    one, other = verdict.compared
-    return (
-        f"To decide between {_title(one)} and {_title(other)}: {best.experiment.description} "
-        f"({best.experiment.minutes:g} min, about {best.expected_nats:.1f} nats)."
-    )
 
 
 def _fraction(closed: ExplainedFraction | None) -> str:
@@ -250,7 +242,6 @@ def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
         _PAGE,
         title,
         sentences=words(verdict),
-        action=_action(verdict),
         picture=_map(verdict.gap),
         sections=sections,
         runs=runs,
@@ -376,11 +367,12 @@ def _actions(verdict: Diagnosis) -> Table:
 
 def _floor_words(verdict: Diagnosis) -> str:
     doubtful = [floor for floor in verdict.floor if not floor.trusted]
+    # The sign that is worse: repeated numbers, or what the whole group has left.
     if not doubtful:
         return "All groups of observables scatter as their errors say."
     said = "; ".join(
         f"{floor.group} (repeated numbers scatter {floor.scatter:.1f} times as much)"
-        if floor.replicates
+        if floor.scatter > floor.factor
         else f"{floor.group} (noise {floor.factor:.1f} times as large)"
         for floor in doubtful
     )

@@ -18,9 +18,10 @@ from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import MEASURED, ObservableGroup
 from holography.arrays import Array
 
-# More scatter than chance makes in one of a hundred campaigns, as in the predictive checks.
+# More scatter than chance makes in one of a hundred campaigns. Chosen, as in predictive checks.
 _CHANCE = 0.01
 # Standard deviations of the log of a factor on the noise beyond which a group is not trusted.
+# Chosen: two, as for a 95 % interval.
 _UNUSUAL = 2.0
 
 
@@ -69,7 +70,8 @@ def floor_certificate(problem: InferenceProblem, candidate: Candidate) -> tuple[
     floors = []
     for group, factor in zip(problem.groups, factors.tolist(), strict=True):
         piece = problem.slices[group.name]
-        left = np.linalg.solve(group.whitening, candidate.whitened_residual[piece])
+        # An effect may deviate from its form: that is no scatter.
+        left = np.linalg.solve(group.whitening, candidate.estimate.residuals[piece])
         contrasts = _contrasts(group)
         if not len(contrasts):
             floors.append(Floor(group.name, len(left), 0, np.nan, 1.0, factor))

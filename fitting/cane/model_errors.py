@@ -2,10 +2,9 @@
 
 A reed differs from its drawing in thickness, its cane from hypothesis H4, its clamp yields and is
 put on by hand, the moduli that are not fitted have handbook values, and the air is that of a free
-plate. Each such cause moves
-all modes together, by a pattern that the reduced reed computes. Their ranges are those from which
-disorder is drawn (`physics.parameters.disorder`), and the priors of the diagnosis
-(`physics.effects`).
+plate. Each such cause moves all modes together, by a pattern that the reduced reed computes. Their
+ranges are those from which disorder is drawn (`physics.parameters.disorder`), and the priors of the
+diagnosis (`physics.effects`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,8 +35,9 @@ _WALL = 0.5
 _DENSITY = "density"
 # Numbers of a `CaneShift` by which cane differs from H4's cane of the drawing's density.
 CANE = (_DENSITY, "E_L", "G_LT", "growth_E_L", "growth_G_LT")
-# Frequencies of 55 reeds are 30.4 cents (rms) off those of H4 (paper, Table 5), as by moduli that
-# are off by twice as much. Growth: the effect `viscoelastic_stiffening` (decision 0049).
+# Frequencies of 55 reeds are 30.4 cents (rms) off those of H4 (paper, Table 4a), as by moduli that
+# are off by twice as much, because frequencies follow their square root. Growth: the effect
+# `viscoelastic_stiffening` (decision 0049).
 _LEVEL = 2 * 30.4 * float(np.log(2)) / 1200
 _BEYOND_H4 = {
     "E_L": _LEVEL,

@@ -7,7 +7,6 @@ of H4 whose moduli are most similar.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -70,11 +69,11 @@ def _logs(shift: CaneShift) -> tuple[tuple[float, float], tuple[float, float]]:
 
 def _springs_mpa(zener: Zener, log: float, growth: float, hz: Array) -> Array:
     """Return both springs of a Zener body whose storage modulus is that of another, shifted."""
-    spring = replace(zener, arm_spring_mpa=0.0)
-    alone = storage_modulus_pa(spring, hz) / zener.spring_mpa
-    arm = (storage_modulus_pa(zener, hz) - storage_modulus_pa(spring, hz)) / zener.arm_spring_mpa
-    aim = np.exp(log) * storage_modulus_pa(zener, hz) * (hz / PIVOT_HZ) ** growth
-    columns = np.stack([alone, arm], axis=1) / aim[:, None]
+    storage_mpa = 1e-6 * storage_modulus_pa(zener, hz)
+    # The storage modulus is linear in both springs, if the time of the dashpot is kept.
+    arm = (storage_mpa - zener.spring_mpa) / zener.arm_spring_mpa
+    aim_mpa = np.exp(log) * storage_mpa * (hz / PIVOT_HZ) ** growth
+    columns = np.stack([np.ones(len(hz)), arm], axis=1) / aim_mpa[:, None]
     return np.asarray(np.linalg.lstsq(columns, np.ones(len(hz)), rcond=None)[0])
 
 

@@ -15,7 +15,7 @@ from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import MEASURED
 from tests.diagnosis.toy import AT, EFFECTS, LEVEL, bench, fitted, measured
 
-dynesty = pytest.importorskip("dynesty")
+dynesty = pytest.importorskip("dynesty", reason="needs dynesty, of the extra peers (make peers)")
 
 BUMP = np.exp(-((AT / 0.2) ** 2))
 # What one unit of each effect adds to the numbers of both groups.

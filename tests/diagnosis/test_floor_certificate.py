@@ -12,7 +12,7 @@ from diagnosis.observable_groups import Coordinates, Observable, observable_grou
 from physics.parameters.tree import BenchParameters
 from reports.diagnosis_json import to_json
 from reports.diagnosis_page import document
-from tests.diagnosis.toy import LEVEL, bench, fitted, measured
+from tests.diagnosis.toy import AT, EFFECTS, LEVEL, bench, fitted, measured
 
 
 def repeated(scatter: float, errors: float = 1.0, seed: int = 5) -> InferenceProblem:
@@ -73,6 +73,22 @@ def test_what_replicates_have_in_common_does_not_count() -> None:
     other = InferenceProblem([moved, clock], problem.base, problem.nuisances)
     one, two = (floors_of(each)["modes"].scatter for each in (problem, other))
     assert one == pytest.approx(two, rel=1e-6)
+
+
+def test_a_deviation_from_the_form_of_an_effect_is_no_scatter() -> None:
+    """What the effect does is 6 % more or less than in its file, from time to time."""
+    problem = measured(3, bench(leak=2.0))
+    lines, clocks = problem.groups
+    sign = np.array([1 if place.time in {"t0", "t2"} else -1 for place in lines.coordinates])
+    moved = replace(lines, values=lines.values + 0.06 * 2.0 * AT * sign)
+    other = InferenceProblem([moved, clocks], problem.base, problem.nuisances)
+    candidate = fitted(other, EFFECTS[0])
+    assert floor_certificate(other, candidate)[0].chance > 0.01
+    plain = replace(
+        candidate,
+        estimate=replace(candidate.estimate, residuals=candidate.whitened_residual),
+    )
+    assert floor_certificate(other, plain)[0].chance < 1e-6
 
 
 def test_page_and_json_name_groups_that_are_not_trusted() -> None:

@@ -19,6 +19,7 @@ from physics.effects.effect import Effect
 from physics.mechanics import HIGHEST_HZ, CaneShift, Mechanics, RandomLayer, ReedSolver
 from physics.parameters.disorder import BY_NAME, Disorder
 from physics.parameters.tree import BenchParameters, with_cane, with_part
+from physics.plausible.reeds import BEYOND_H4
 from physics.plausible.surfaces import ThicknessFunctions
 from physics.reed.reduced.derivatives import local_shifts
 from physics.reed.reduced.vibrations import vibrations
@@ -35,15 +36,6 @@ _WALL = 0.5
 _DENSITY = "density"
 # Numbers of a `CaneShift` by which cane differs from H4's cane of the drawing's density.
 CANE = (_DENSITY, "E_L", "G_LT", "growth_E_L", "growth_G_LT")
-# Frequencies of 55 reeds are 30.4 cents (rms) off those of H4 (paper, Table 4a), as by moduli that
-# are off by twice as much, because frequencies follow their square root. Growth: the effect
-# `viscoelastic_stiffening` (decision 0049).
-_LEVEL = 2 * 30.4 * float(np.log(2)) / 1200
-_BEYOND_H4 = {
-    "E_L": _LEVEL,
-    "G_LT": _LEVEL,
-    **{f"growth_{each.name}": each.spread for each in BY_ID["viscoelastic_stiffening"].parameters},
-}
 # Ordinary disorder of each reed, and of each time that it is clamped.
 _OF_REED = (_DENSITY, "thickness_slope", "E_T", "E_R", "G_LR", "G_TR", "nu_LT", "nu_LR", "nu_TR")
 _OF_CLAMPING = ("clamp_shift", "clamp_tilt")
@@ -165,7 +157,7 @@ def _of_cane(name: str) -> float:
     """Return one standard deviation of a number of `CANE`; 0 for any other cause."""
     if name == _DENSITY:
         return BY_NAME[name].ordinary.deviation
-    return _BEYOND_H4.get(name, 0.0)
+    return BEYOND_H4.get(name, 0.0)
 
 
 def _with_cane(nominal: BenchParameters, name: str, deviations: float) -> BenchParameters:

@@ -122,8 +122,8 @@ def name_modes(
     probabilities = _averaged_names(reeds, found, weights)
     labels = [modal.names[m] for m in index]
     choices = named(dict(zip(labels, probabilities, strict=True)))
-    free = reeds.with_free_growth()
-    grown = [each.free_growth for each in found if each.free_growth]
+    free = reeds.with_free_moduli()
+    grown = [each.free_moduli for each in found if each.free_moduli]
     stiffenings = zip(*(stiffening_of(free, each) for each in grown), strict=True)
     return {
         label: replace(
@@ -191,7 +191,10 @@ def name_probabilities(
     nearby = posterior.nearby
     drawn = [replace(nearby, found=replace(nearby.found, reed=reed)) for reed in drawings]
     answer: list[dict[str, float]] = [{} for _ in posterior.mode]
-    for hz, mixing in zip(drawn_hz, mixings, strict=True):
+    for unordered_hz, mixture in zip(drawn_hz, mixings, strict=True):
+        # Names count modes in order of frequency.
+        ascending = np.argsort(unordered_hz)
+        hz, mixing = unordered_hz[ascending], mixture[:, ascending]
         same = _same_modes(posterior, hz, mixing)
         besides = extension @ _unseen_by_reeds(posterior, mixing, same, rng)
         for reeds in drawn:

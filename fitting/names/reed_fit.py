@@ -121,6 +121,8 @@ def refitted(question: Question, fit: Fit) -> Fit:
     best = _fitted(fit.here, data, prior)
     here = towards(question, fit.here.parameters, best)
     parameters = here.parameters
+    number = fit.here.nearby.numbers_in(here.nearby, parameters)
+    data = replace(data, mode=np.where(data.mode >= 0, number[data.mode], -1))
     moved = float(np.abs(parameters - fit.here.parameters)[: reeds.shifts.start].max())
     _, covariance = updated(here, *whitened(here, data), prior)
     # How far the best reed is from there is not known either.

@@ -80,8 +80,8 @@ class ReedPosterior:
         Probability that a measured mode is none of the reed's.
     shift_cents : float
         Scale of the shifts of modes.
-    free_growth : ReedPosterior, optional
-        The same with parameters of reeds whose moduli may grow otherwise than by hypothesis H4.
+    free_moduli : ReedPosterior, optional
+        The same with parameters of reeds whose moduli may leave hypothesis H4.
     """
 
     measured: MeasuredModes
@@ -95,7 +95,7 @@ class ReedPosterior:
     outside: Array
     spurious: Array
     shift_cents: float
-    free_growth: "ReedPosterior | None" = None
+    free_moduli: "ReedPosterior | None" = None
 
 
 def reed_posterior(
@@ -123,7 +123,16 @@ def reed_posterior(
         If no reed that is possible has these modes.
     """
     question = Question(reeds, visible, (float(np.log(ends_hz[0])), float(np.log(ends_hz[1]))))
-    fit = _first(question, measured)
+    fit = _searched(question, _first(question, measured))
+    fits = _comparable(question, [fit, *_exchanged(question, fit)])
+    return tuple(
+        replace(_result(question, each), free_moduli=_with_free_moduli(question, each))
+        for each in fits
+    )
+
+
+def _searched(question: Question, fit: Fit) -> Fit:
+    """Fit a reed and assign modes, in turns, and take out modes that are spurious."""
     assigned, held = {fit.data.mode.tobytes()}, False
     for step in range(_MOST_STEPS):
         before = mode = fit.data.mode
@@ -146,12 +155,7 @@ def reed_posterior(
             break
         real = fit.data.real & (np.arange(len(before)) != worst)
         fit = replace(fit, data=replace(fit.data, real=real))
-    fits = _comparable(question, [fit, *_exchanged(question, fit)])
-    free = replace(question, reeds=reeds.with_free_growth())
-    return tuple(
-        replace(_result(question, each), free_growth=_result(free, _freed(free, reeds, each)))
-        for each in fits
-    )
+    return fit
 
 
 def _first(question: Question, measured: MeasuredModes) -> Fit:
@@ -274,7 +278,12 @@ def _exchanged(question: Question, fit: Fit) -> list[Fit]:
         apart = _BEYOND * float(level[other] - level[one]) / _CENT
         parameters = here.parameters.copy()
         parameters[reeds.shifts.start + np.array([one, other])] += np.array([apart, -apart])
-        tried = replace(fit, here=predict(reeds, question.visible, parameters))
+        there = predict(reeds, question.visible, parameters)
+        mode = fit.data.mode
+        if there.ln_hz[lower] > there.ln_hz[upper]:
+            # They hardly couple: each has kept its number, and is where the other was.
+            mode = np.select([mode == lower, mode == upper], [upper, lower], mode)
+        tried = replace(fit, here=there, data=replace(fit.data, mode=mode))
         for _ in range(_MOST_STEPS):
             # With the scatter of the other reed at first: a shape that is bad has no say otherwise.
             tried = refitted(question, tried)
@@ -299,16 +308,17 @@ def _comparable(question: Question, fits: list[Fit]) -> list[Fit]:
     return [refitted(question, replace(fit, data=replace(fit.data, weight=common))) for fit in fits]
 
 
-def _freed(free: Question, reeds: PlausibleReeds, fit: Fit) -> Fit:
-    """Fit again with a free growth of moduli, the same modes and the same scatter of shapes."""
+def _with_free_moduli(question: Question, fit: Fit) -> ReedPosterior:
+    """Fit again with free moduli, the same modes and the same scatter of shapes."""
+    free = replace(question, reeds=question.reeds.with_free_moduli())
     parameters = np.zeros(len(free.reeds.names))
-    parameters[np.isin(free.reeds.names, reeds.names)] = fit.here.parameters
+    parameters[np.isin(free.reeds.names, question.reeds.names)] = fit.here.parameters
     fit = replace(fit, here=predict(free.reeds, free.visible, parameters))
     for _ in range(_MOST_STEPS):
         fit = refitted(free, fit)
         if fit.moved < SETTLED:
             break
-    return fit
+    return _result(free, fit)
 
 
 def _log_evidence(reeds: PlausibleReeds, fit: Fit) -> float:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.names.reed_posterior import ReedPosterior
 from holography.arrays import Array
@@ -17,9 +18,8 @@ from physics.reed.reduced.derivatives import DENSITY, PARAMETERS, derivatives
 from physics.reed.reduced.dynamics import E_L, G_LT
 from physics.reed.reduced.vibrations import Vibrations
 
-# Steps of central differences, in log frequency and in standard deviations of the population.
-# Chosen: exponents are then exact to a thousandth.
-_LOG_STEP, _STEP = 0.01, 0.1
+# Step of central differences in log frequency. Chosen: exponents are then exact to a thousandth.
+_LOG_STEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,23 @@ def stiffening_of(reeds: PlausibleReeds, posterior: ReedPosterior) -> list[Stiff
     def exponents(parameters: Array) -> Array:
         return np.asarray(np.sum(parts[mode] * growth(reeds, parameters, hz), axis=1))
 
-    own = reeds.moduli
-    moves = _STEP * np.eye(len(posterior.mean))[own]
-    by_parameter = [
-        (exponents(posterior.mean + move) - exponents(posterior.mean - move)) / (2 * _STEP)
-        for move in moves
-    ]
-    slopes = np.stack(by_parameter, axis=1)
-    variance = np.einsum("ai,ij,aj->a", slopes, posterior.covariance[np.ix_(own, own)], slopes)
+    found = np.stack([exponents(each) for each in _around(posterior, reeds.moduli)])
     return [
-        Stiffening(float(value), float(np.sqrt(square))) if number >= 0 else None
-        for value, square, number in zip(exponents(posterior.mean), variance, mode, strict=True)
+        Stiffening(float(value), float(error)) if number >= 0 else None
+        for value, error, number in zip(found.mean(axis=0), found.std(axis=0), mode, strict=True)
     ]
+
+
+def _around(posterior: ReedPosterior, own: NDArray[np.intp]) -> Array:
+    """Return parameters (2n, p) with mean and covariance of those n, symmetric around the mean.
+
+    What is not linear in them over their range is seen, too: the unscented transform (S. J. Julier
+    & J. K. Uhlmann 1997, Proc. SPIE 3068:182).
+    """
+    sizes, axes = np.linalg.eigh(posterior.covariance[np.ix_(own, own)])
+    steps = np.zeros((len(own), len(posterior.mean)))
+    steps[:, own] = (axes * np.sqrt(len(own) * np.maximum(sizes, 0.0))).T
+    return np.asarray(posterior.mean + np.concatenate([steps, -steps]))
 
 
 def shares(found: Vibrations) -> Array:

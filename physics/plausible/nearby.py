@@ -3,6 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
 from holography.arrays import Array
@@ -16,6 +19,10 @@ _AIR = (1.0, 2.0)
 # Two modes that are closer than this fraction of a squared frequency are pushed apart in
 # derivatives of shapes (not in shapes): chosen, 2 cents, below the scatter of any model.
 _CLOSE = 2e-3
+# Two modes couple if they would be pushed apart by more than twice this part of a frequency where
+# they cross. Chosen: 20 cents, a fifth of the repulsion of X1 and L1, the strongest of the paper's
+# reed.
+_WEAK = 10 * float(np.log(2)) / 1200
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,10 @@ class NearbyReeds:
     def modes(self, parameters: Array) -> tuple[Array, Array]:
         """Return the modes of reeds, all modes that are close taken together.
 
+        Each has the number of the mode of `found` of which it has most; modes that couple have
+        theirs in order of frequency. Modes that hardly couple cross: in order of frequency, a small
+        change of a reed would give one of them the number of the other, and its shape.
+
         Parameters
         ----------
         parameters : (..., p) float
@@ -56,7 +67,6 @@ class NearbyReeds:
         Returns
         -------
         hz : (..., m) float
-            Ascending.
         mixing : (..., m, m) float
             Each mode in a column, as a sum of those of `found`, of unit mass.
         """
@@ -64,7 +74,18 @@ class NearbyReeds:
         inverse = np.linalg.inv(np.linalg.cholesky(M))
         squares, vectors = np.linalg.eigh(inverse @ K @ np.swapaxes(inverse, -1, -2))
         mixing = np.swapaxes(inverse, -1, -2) @ vectors
+        number = _numbers(K, squares, mixing)
+        squares = np.take_along_axis(squares, number, axis=-1)
+        mixing = np.take_along_axis(mixing, number[..., None, :], axis=-1)
         return np.sqrt(np.maximum(squares, 1.0)) / (2 * np.pi), mixing
+
+    def numbers_in(self, other: "NearbyReeds", parameters: Array) -> NDArray[np.intp]:
+        """Return the number (m,) near another reed of each mode of one with parameters (p,).
+
+        It is -1 if a mode is none of those.
+        """
+        own, theirs = (each.turned @ each.modes(parameters)[1] for each in (self, other))
+        return _same(own.T @ theirs)
 
     def _amounts(self, parameters: Array) -> Array:
         """Return what stiffness and mass are multiplied by (..., p): air is never negative."""
@@ -131,3 +152,26 @@ class NearbyReeds:
         cane = replace(found.reed.cane, density_kg_m3=density)
         reed = replace(found.reed, box=replace(found.reed.box, cane=cane))
         return all_descriptors(reed, shapes / np.sqrt(mass))
+
+
+def _numbers(K: Array, squares: Array, mixing: Array) -> NDArray[np.intp]:
+    """Return which mode (..., m) in order of frequency has each number, see `NearbyReeds.modes`."""
+    answer = _same(mixing)
+    own = np.sqrt(np.diagonal(K, axis1=-2, axis2=-1))
+    coupled = np.abs(K) > 2 * _WEAK * own[..., None] * own[..., None, :]
+    for index in np.ndindex(answer.shape[:-1]):
+        count, group = connected_components(coupled[index], directed=False)
+        for each in range(count):
+            among = np.flatnonzero(group == each)
+            order = np.argsort(squares[index][answer[index][among]])
+            answer[index][among] = answer[index][among][order]
+    return answer
+
+
+def _same(overlap: Array) -> NDArray[np.intp]:
+    """Return which column (..., m) is each row, for overlaps (..., m, n) of modes; -1 if none."""
+    answer = np.full(overlap.shape[:-1], -1)
+    for index in np.ndindex(overlap.shape[:-2]):
+        rows, columns = linear_sum_assignment(-(overlap[index] ** 2))
+        answer[index][rows] = columns
+    return answer

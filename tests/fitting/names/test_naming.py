@@ -17,7 +17,7 @@ from fitting.names.naming import (
     name_probabilities,
     named,
 )
-from fitting.names.reed_fit import Question, towards
+from fitting.names.reed_fit import SHIFT_CENTS, Question, towards
 from fitting.names.reed_posterior import reed_posterior
 from fitting.names.straight_lines import with_straight_lines
 from physics.errors import ImpossibleReedError
@@ -69,7 +69,10 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     }
     assert len(likeliest) >= 9
     assert all(name == own for name, own in likeliest.items())
-    assert best.mean[:3] == pytest.approx([e1, e2, e3], abs=1.5)
+    errors = np.sqrt(np.diag(best.covariance)[:3])
+    assert np.abs(best.mean[:3] - [e1, e2, e3]).max() < 4 * errors.max()
+    # The reed explains its modes: shifts are those that any model leaves.
+    assert best.shift_cents < 2 * SHIFT_CENTS[0]
 
 
 def test_a_step_towards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):

@@ -96,11 +96,22 @@ def test_stiffening_is_that_of_the_reed_and_not_of_mean_cane(reeds, viscous):
     assert names["T2"][1].exponent - names["T2"][0].exponent > 0.08
 
 
-@pytest.mark.parametrize("sign", [-2.0, 2.0])
-def test_cane_that_does_not_follow_the_law_of_the_paper_has_its_own_growth(reeds, visible, sign):
+@pytest.mark.parametrize(
+    ("names", "sign", "least"),
+    [
+        (("growth_E_L", "growth_G_LT"), -2.0, 4.0),
+        (("growth_E_L", "growth_G_LT"), 2.0, 4.0),
+        # Levels of moduli say little of how they grow.
+        (("E_L", "G_LT"), 2.0, 0.0),
+    ],
+)
+def test_cane_that_does_not_follow_the_law_of_the_paper_has_its_own_growth(
+    reeds, visible, names, sign, least
+):
     """Two standard deviations more or less: moduli hardly grow, or twice as fast."""
-    free = reeds.with_free_growth()
-    other = {"e1": 0.0, "e2": 0.0, "e3": 0.0, "growth_E_L": sign, "growth_G_LT": sign}
+    free = reeds.with_free_moduli()
+    other = {"e1": 0.0, "e2": 0.0, "e3": 0.0, "E_L": 0.0, "G_LT": 0.0}
+    other |= dict.fromkeys(names, sign)
     sweep = planting(free, visible)(MEASURED, **other)
     found = max(
         reed_posterior(reeds, visible, sweep.measured, ENDS_HZ), key=lambda each: each.log_evidence
@@ -111,19 +122,21 @@ def test_cane_that_does_not_follow_the_law_of_the_paper_has_its_own_growth(reeds
     nearby, pulls, held = free.near(truth), [], []
     near = nearby.found
     names = [each.name for each in names_of(nearby.descriptors(np.eye(len(near.hz))))]
-    own = stiffening_of(free, found.free_growth), stiffening_of(reeds, found)
+    own = stiffening_of(free, found.free_moduli), stiffening_of(reeds, found)
     for name, freely, by_law in zip(MEASURED, *own, strict=True):
         number = names.index(name)
         true = float(shares(near)[number] @ growth(free, truth, near.hz[[number]])[0])
         pulls.append((freely.exponent - true) / freely.error)
         held.append((by_law.exponent - true) / by_law.error)
     assert np.sqrt(np.mean(np.square(pulls))) < 2
-    assert np.sqrt(np.mean(np.square(held))) > 4
+    assert np.sqrt(np.mean(np.square(held))) > least
 
 
 def test_the_error_is_that_of_the_components(reeds, viscous):
     own = replace(viscous, covariance=np.zeros_like(viscous.covariance))
-    assert [each.error for each in stiffening_of(reeds, own)] == [0.0] * len(MEASURED)
+    assert [each.error for each in stiffening_of(reeds, own)] == pytest.approx(
+        [0.0] * len(MEASURED), abs=1e-12
+    )
     covariance, deviation = own.covariance.copy(), 0.1
     covariance[E3, E3] = deviation**2
     up, down = (

@@ -122,6 +122,48 @@ def test_a_shift_moves_a_mode_that_no_other_is_close_to(reeds):
     assert moved[1:] == pytest.approx(np.zeros(len(moved) - 1), abs=0.5)
 
 
+def crossing(reeds, beyond_cents):
+    """Parameters of a reed whose modes F2 and T2, of two parts, are beyond their crossing."""
+    parameters = np.zeros(len(reeds.names))
+    nearby = reeds.near(parameters)
+    hz, mixing = nearby.modes(parameters)
+    names = [n.name for n in names_of(nearby.descriptors(mixing))]
+    lower, upper = names.index("T1"), names.index("F2")
+    assert reeds.parts[lower] != reeds.parts[upper]
+    shift = 0.5 * (cents(hz[upper], hz[lower]) + beyond_cents)
+    first = reeds.shifts.start
+    parameters[first + lower], parameters[first + upper] = shift, -shift
+    return nearby, parameters, lower, upper
+
+
+@pytest.mark.parametrize("beyond_cents", [-5.0, 5.0])
+def test_modes_that_hardly_couple_keep_their_numbers_where_they_cross(reeds, beyond_cents):
+    nearby, parameters, lower, upper = crossing(reeds, beyond_cents)
+    hz, mixing = nearby.modes(parameters)
+    assert cents(hz[lower], hz[upper]) == pytest.approx(beyond_cents, abs=2.0)
+    assert np.all(np.diag(mixing)[[lower, upper]] ** 2 > 0.9)
+    assert np.all(np.diff(np.delete(hz, [lower, upper])) > 0)
+    # Each derivative is that of the mode with that number.
+    by_ln_hz, _ = nearby.slopes(parameters)
+    own = by_ln_hz[[lower, upper], reeds.shifts.start + np.array([lower, upper])]
+    assert own == pytest.approx(np.log(2) / 1200 * np.ones(2), rel=0.1)
+
+
+def test_modes_are_found_again_near_a_reed_that_has_them_in_another_order(reeds):
+    """In cane of little viscosity more modes than one pair have another order."""
+    other = np.zeros(len(reeds.names))
+    other[:3] = -0.5, 1.7, 3.5
+    one, two = reeds.near(0.5 * other), reeds.near(other)
+    number = one.numbers_in(two, other)
+    shapes = [each.turned @ each.modes(other)[1] for each in (one, two)]
+    found = np.flatnonzero(number >= 0)
+    overlap = np.sum(shapes[0][:, found] * shapes[1][:, number[found]], axis=0) ** 2
+    # More than half: no other mode has as much.
+    assert np.all(overlap[:12] > 0.5)
+    assert not np.array_equal(number[:12], np.arange(12))
+    assert len(set(number[found])) == len(found)
+
+
 def test_characters_of_x1_and_l1_repel_each_other(reeds):
     """Where they would cross, both modes have both characters, 100 cents apart."""
     parameters = np.zeros(len(reeds.names))

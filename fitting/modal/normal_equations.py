@@ -8,6 +8,7 @@ the mixing of mode m into a is ``d h_a p_a S_m``.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +67,18 @@ class Data:
         found: Array = (whitened_residual + self.response @ shift[..., None])[..., 0]
         return found
 
+    @cached_property
+    def common_mode_products(self) -> Array:
+        """Products (p, p) of the responses to the parameters that all holograms share.
+
+        Those by which modes are out of phase are left 0: they depend on the state.
+        """
+        rows = OUT_OF_PHASE + self.response.shape[2]
+        products = np.zeros((rows, rows, len(self.response)))
+        each = self.response.swapaxes(1, 2) @ self.response
+        products[OUT_OF_PHASE:, OUT_OF_PHASE:] = each.transpose(1, 2, 0)
+        return self.drift.products(products)
+
     def weighing(self, fraction: float) -> "Data":
         """Return the same data with every hologram weighted by a factor."""
         root = np.sqrt(fraction)
@@ -104,8 +117,9 @@ class _Seen:
     ----------
     columns : (k, 2j, 2v + q) float
         Whitened vectors.
-    products : (2v + q, 2v + q, k) float
-        Their scalar products.
+    products : (2v + s, 2v + q, k) float
+        Scalar products with them of the vectors, and of the responses to the s parameters by which
+        modes are out of phase.
     """
 
     columns: Array
@@ -126,11 +140,12 @@ def _seen(model: Model, data: Data, at: "Evaluation") -> _Seen:
         whitened.append(half @ model.reference.T)
     # The common-mode error moves the amplitudes, which is as if the model moved the other way.
     columns = np.concatenate([*whitened, _out_of_phase(data, at.terms), -data.response], axis=2)
-    size = columns.shape[2]
-    products = np.empty((size, size, len(columns)))
+    size, rows = columns.shape[2], columns.shape[2] - data.response.shape[2]
+    products = np.empty((rows, size, len(columns)))
 
     def fill(some: slice) -> None:
-        products[:, :, some] = (columns[some].swapaxes(1, 2) @ columns[some]).transpose(1, 2, 0)
+        own = columns[some, :, :rows].swapaxes(1, 2)
+        products[:, :, some] = (own @ columns[some]).transpose(1, 2, 0)
 
     map_threads(fill, len(columns))
     return _Seen(columns, products)
@@ -179,7 +194,7 @@ def equations(model: Model, data: Data, prior: Prior, at: "Evaluation") -> Equat
     drive = _drive(model, now.modal, layout.vectors)
     moved = seen.along(drive)
     order = layout.order(len(data.precision))
-    matrix = _matrix(layout, seen, own, mixed, data.drift)[np.ix_(order, order)]
+    matrix = _matrix(layout, seen, own, mixed, data)[np.ix_(order, order)]
     coupling = _coupling(layout, own, mixed, moved, data.drift)[order]
     held = linalg.block_diag(np.diag(prior.precision[prior.free]), data.precision)
     return Equations(
@@ -327,12 +342,12 @@ def _layout(model: Model, prior: Prior) -> _Layout:
 
 
 def _matrix(
-    layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray, drift: FieldDrift
+    layout: _Layout, seen: _Seen, own: ComplexArray, mixed: ComplexArray, data: Data
 ) -> Array:
     """Return the products (q, q) of all columns: own, mixing, common mode."""
-    active, vectors = layout.active, layout.vectors
+    active, vectors, drift = layout.active, layout.vectors, data.drift
     mix_m, mix_a = layout.mix_m, layout.mix_a
-    last = seen.products[2 * vectors :]
+    last = seen.products[: 2 * vectors, 2 * vectors :].swapaxes(0, 1)
     own_own, own_mixed, own_last = _of_own(layout, seen, own, mixed, drift)
     last_mixed = _last_with_mixed(last, mixed, layout, drift)[:, mix_m, mix_a]
     mixed_mixed = _mixed_with_mixed(seen.products, mixed, active, vectors)[
@@ -342,9 +357,18 @@ def _matrix(
         [
             [own_own, own_mixed, own_last],
             [own_mixed.T, mixed_mixed, last_mixed.T],
-            [own_last.T, last_mixed, drift.products(last[:, 2 * vectors :])],
+            [own_last.T, last_mixed, _of_common_mode(seen.products[2 * vectors :], layout, data)],
         ]
     )
+
+
+def _of_common_mode(out_of_phase: Array, layout: _Layout, data: Data) -> Array:
+    """Return the products (p, p) of common-mode columns, for those out of phase (s, 2v + q, k)."""
+    answer = data.common_mode_products.copy()
+    count = len(out_of_phase)
+    answer[:count] = data.drift.gathered(out_of_phase[:, 2 * layout.vectors :])
+    answer[:, :count] = answer[:count].T
+    return answer
 
 
 def _by_mixing(layout: _Layout, pull: Array, mixed: ComplexArray) -> Array:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
@@ -191,7 +192,8 @@ def _log_evidence(
 
     `log_deviation` is that of all data, summed as they are weighed.
     """
-    known = float(np.linalg.slogdet(matrix)[1]) + 2 * float(np.sum(np.log(np.diag(drive_root))))
+    root = linalg.cholesky(matrix, lower=True, check_finite=False)
+    known = 2 * float(np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(drive_root))))
     volumes = at.drive_prior.log_volume + prior.log_volume - known
     return 0.5 * (volumes - at.cost) - log_deviation
 

@@ -887,7 +887,7 @@ def test_parameters_follow_the_ripple_as_their_derivatives_say(point, monkeypatc
 
     state = at(ripple.log_size, point.state)
     here = equations(model, data, point.prior, evaluate(model, data, point.prior, state))
-    covariance = np.linalg.inv(without_drive(here, 0.0)[0])
+    covariance = inverse(without_drive(here, 0.0)[0])
     posterior = Posterior.of(here, covariance, 1.0)
     by_ripple = posterior.with_ripple(model, state)
     free = point.prior.free

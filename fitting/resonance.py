@@ -2,6 +2,13 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from holography.arrays import Array
+
+# The peak response of a mode is looked for this near to its resonance.
+_PEAK_CENTS = 150.0
+
 
 @dataclass(frozen=True)
 class Resonance:
@@ -62,3 +69,27 @@ class Resonance:
     largest_m: tuple[float, float] | None = None
     name_probability: float | None = None
     candidates: tuple[tuple[str, float], ...] = ()
+
+
+def peak_response_hz(drive_hz: Array, amplitude: Array, hz: float) -> float:
+    """Return the frequency of the peak response near a resonance, by a parabola.
+
+    Parameters
+    ----------
+    drive_hz : (k,) float
+    amplitude : (k,) float
+        Of the mode, at these frequencies.
+    hz : float
+        Frequency of the resonance.
+    """
+    cents = 1200 * np.log2(drive_hz / hz)
+    near = np.flatnonzero(np.abs(cents) < _PEAK_CENTS)
+    if not near.size:
+        return hz
+    top = int(near[np.argmax(amplitude[near])])
+    if top in (0, len(cents) - 1):
+        return float(drive_hz[top])
+    three = slice(top - 1, top + 2)
+    bend, slope, _ = np.polyfit(cents[three] - cents[top], np.log(amplitude[three]), 2)
+    shift = -slope / (2 * bend) if bend < 0 else 0.0
+    return float(drive_hz[top] * 2 ** (shift / 1200))

@@ -1,8 +1,8 @@
 """Find resonances by one joint fit of all holograms of a sweep."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,9 +33,11 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import LOSS
-from fitting.names.naming import SURE, ModeNaming, name_modes
-from fitting.resonance import Resonance
-from holography.arrays import Array, ComplexArray
+from fitting.names.final_names import final_names
+from fitting.names.naming import ModeNaming, name_modes
+from fitting.names.places import Place, places_of_modes
+from fitting.resonance import Resonance, peak_response_hz
+from holography.arrays import Array, ComplexArray, IndexArray
 from physics.errors import ImpossibleReedError
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import (
@@ -53,10 +55,11 @@ _CENT = float(np.log(2) / 1200)
 _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
 # ... if it is more likely a mode of the reed than not, and if its name is sure.
 _MOST_SPURIOUS = 0.5
-# The peak response of a mode is looked for this near to its resonance.
-_PEAK_CENTS = 150.0
 # Outliers that a fit may have, for example holograms at an acoustic resonance.
 _FEW_OFF = 2
+# A mode is elsewhere than the reed has it if that is farther than the width of a resonance, and
+# than this multiple of the standard error of that place. Chosen: three, usual for normal errors.
+_MISPLACED = 3.0
 # How often displacements are fitted again with the common-mode error that the modes show, and the
 # part of the displacements that it may be: displacements are then linear in it to half its square,
 # 0.05 %, less than shapes leave.
@@ -184,26 +187,70 @@ def _fitted(
     basis = middling_shapes(reed, cane, block_amplitudes.x_m, block_amplitudes.y_m)
     displacements = fit_displacements(block_amplitudes, basis)
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
-    sweep = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
-    return joint_fit_of(sweep, naming_of(sweep, reed, series))
+    reeds = PlausibleReeds.of(reed, series)
+    rough = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
+    sweep = finished(_with_modes_in_place(rough, reeds))
+    return joint_fit_of(sweep, naming_of(sweep, reeds))
 
 
-def naming_of(sweep: MeasuredSweep, reed: ReducedReed, series: Series) -> Mapping[str, ModeNaming]:
-    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt."""
-    modal, block_amplitudes = sweep.modal, sweep.block_amplitudes
+def finished(sweep: MeasuredSweep) -> MeasuredSweep:
+    """Fit the drive of a sweep, too."""
+    hz, volts = sweep.block_amplitudes.drive_hz, sweep.block_amplitudes.volts
+    start_hz = dict(sweep.start_hz)
+    modal = fit_modes(sweep.displacements, sweep.basis, hz, volts, start_hz, sweep.modal)
+    return replace(sweep, modal=modal)
+
+
+def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> MeasuredSweep:
+    """Fit a sweep again from where the reed has modes that a rough fit has put elsewhere.
+
+    A start may be nearer to another resonance than to its own. Two modes then share that one, and
+    shapes and losses of all others make up for the one that is missing. The reed that the other
+    modes show has it within some cents. The fit that explains more is taken.
+    """
+    modal, hz = sweep.modal, sweep.block_amplitudes.drive_hz
+    fitted_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))
+    misplaced = {
+        name: place.hz
+        for name, place in _places(sweep, reeds).items()
+        if name in fitted_hz
+        and hz[0] < place.hz < hz[-1]
+        and abs(np.log(fitted_hz[name] / place.hz)) > max(LOSS, _MISPLACED * place.error)
+    }
+    if not misplaced:
+        return sweep
+    start_hz = fitted_hz | misplaced
+    volts = sweep.block_amplitudes.volts
+    again = fit_modes(sweep.displacements, sweep.basis, hz, volts, start_hz, rough=True)
+    if again.discrepancy >= modal.discrepancy:
+        return sweep
+    return replace(sweep, modal=again, start_hz=start_hz)
+
+
+def _places(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, Place]:
+    """Return where the reed has its modes, by name; none if the sweep or the reed is in doubt."""
     if _general_doubt(sweep):
         return {}
+    with suppress(ImpossibleReedError):
+        return places_of_modes(sweep.modal, *_asked(sweep), reeds)
+    return {}
+
+
+def _asked(sweep: MeasuredSweep) -> tuple[ShapeBasis, tuple[Array, Array], Array, IndexArray]:
+    """Return the basis, its points, the drive frequencies, and which modes are measured."""
+    blocks = sweep.block_amplitudes
     index = [m for m, doubt in enumerate(_measurement_doubts(sweep)) if not doubt]
+    points_m = blocks.x_m, blocks.y_m
+    return sweep.basis, points_m, blocks.drive_hz, np.array(index, dtype=np.intp)
+
+
+def naming_of(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, ModeNaming]:
+    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt."""
+    if _general_doubt(sweep):
+        return {}
     # A reed that is not possible has no names: then all modes are refused.
     with suppress(ImpossibleReedError):
-        return name_modes(
-            modal,
-            sweep.basis,
-            (block_amplitudes.x_m, block_amplitudes.y_m),
-            block_amplitudes.drive_hz,
-            np.array(index, dtype=np.intp),
-            PlausibleReeds.of(reed, series),
-        )
+        return name_modes(sweep.modal, *_asked(sweep), reeds)
     return {}
 
 
@@ -213,7 +260,7 @@ def modes_in_turns(
     displacements: Displacements,
     start_hz: Mapping[str, float],
 ) -> MeasuredSweep:
-    """Fit modes, and displacements again with the common-mode error that they show.
+    """Fit modes roughly, and displacements again with the common-mode error that they show.
 
     Parameters
     ----------
@@ -243,7 +290,6 @@ def modes_in_turns(
             same_fringe(before.amplitude_rad[tried], displacements.amplitude_rad[tried])
         )
         modal = fit_modes(displacements, *same, modal if few_off else None, rough=True)
-    modal = fit_modes(displacements, *same, modal)
     return MeasuredSweep(block_amplitudes, basis, displacements, modal, start_hz)
 
 
@@ -272,41 +318,6 @@ def joint_fit_of(sweep: MeasuredSweep, naming: Mapping[str, ModeNaming]) -> Join
             for name, label in zip(names, modal.names, strict=True)
             if doubts[label]
         },
-    )
-
-
-def final_names(
-    labels: Sequence[str], naming: Mapping[str, ModeNaming], doubtful: Collection[str]
-) -> tuple[str, ...]:
-    """Return the name of each mode of a fit; no two are the same.
-
-    Modes that are measured have the names that they were given, with a question mark if these are
-    not sure. A mode that is not identified keeps the name that it had, if no other mode has it now;
-    else it takes one that is left.
-
-    Parameters
-    ----------
-    labels : sequence of str
-        Names of the shapes that the fit started from.
-    naming : mapping
-        See `JointFit`.
-    doubtful : collection of str
-        Labels of the modes that are not identified.
-    """
-    given = {
-        label: naming[label].name for label in labels if label in naming and label not in doubtful
-    }
-    taken = set(given.values())
-    rest = [label for label in labels if label not in given]
-    kept = {label: label for label in rest if label not in taken}
-    left = [label for label in labels if label not in taken | set(kept)]
-    others = [label for label in rest if label not in kept]
-    spare = dict(zip(others, left, strict=False))
-    return tuple(
-        given[label] + ("" if naming[label].probability >= SURE else "?")
-        if label in given
-        else kept.get(label) or spare.get(label) or f"{label} again"
-        for label in labels
     )
 
 
@@ -475,7 +486,7 @@ def _resonance(sweep: MeasuredSweep, m: int, name: str, naming: ModeNaming) -> R
         step_index=int(block_amplitudes.step_index[nearest]),
         amplitude_rad=float(np.abs(modal.modal_rad[nearest, m])),
         method=METHOD,
-        response_hz=_peak_response_hz(block_amplitudes.drive_hz, np.abs(modal.modal_rad[:, m]), hz),
+        response_hz=peak_response_hz(block_amplitudes.drive_hz, np.abs(modal.modal_rad[:, m]), hz),
         loss_factor=loss_factor,
         loss_error=loss_error,
         participation=float(participation[m] / participation.max()),
@@ -483,18 +494,3 @@ def _resonance(sweep: MeasuredSweep, m: int, name: str, naming: ModeNaming) -> R
         name_probability=naming.probability,
         candidates=naming.candidates,
     )
-
-
-def _peak_response_hz(drive_hz: Array, amplitude: Array, hz: float) -> float:
-    """Return the frequency of the peak response near a resonance, by a parabola."""
-    cents = 1200 * np.log2(drive_hz / hz)
-    near = np.flatnonzero(np.abs(cents) < _PEAK_CENTS)
-    if not near.size:
-        return hz
-    top = int(near[np.argmax(amplitude[near])])
-    if top in (0, len(cents) - 1):
-        return float(drive_hz[top])
-    three = slice(top - 1, top + 2)
-    bend, slope, _ = np.polyfit(cents[three] - cents[top], np.log(amplitude[three]), 2)
-    shift = -slope / (2 * bend) if bend < 0 else 0.0
-    return float(drive_hz[top] * 2 ** (shift / 1200))

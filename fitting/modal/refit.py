@@ -21,12 +21,14 @@ from fitting.modal.fit import fit_modes_with_known_drive
 from fitting.modal.identify import (
     JointFit,
     MeasuredSweep,
+    finished,
     joint_fit_of,
     modes_in_turns,
     naming_of,
 )
 from fitting.modal.modal_fit import ModalFit
 from holography.arrays import ComplexArray
+from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import Series
 from physics.reed.reduced.reed import ReducedReed
 from runs.reader import Run
@@ -107,8 +109,8 @@ def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -
         start, off = before.displacements, before.modal.off
         expected_rad = (before.modal.amplitude_rad,)
         found = refit_displacements(less, before.basis, start, expected_rad, off, none)
-        sweep = modes_in_turns(less, before.basis, found, before.start_hz)
-        return joint_fit_of(sweep, naming_of(sweep, reed, series))
+        sweep = finished(modes_in_turns(less, before.basis, found, before.start_hz))
+        return joint_fit_of(sweep, naming_of(sweep, PlausibleReeds.of(reed, series)))
 
 
 def _from_before(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitting.modal.identify import final_names
+from fitting.names.final_names import final_names
 from fitting.names.measured import measured_modes
 from fitting.names.naming import (
     SURE,

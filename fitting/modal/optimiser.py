@@ -255,18 +255,29 @@ def inverse(matrix: Array) -> Array:
     FitError
         If the matrix is not positive definite because of rounding.
     """
-    unit = 1 / np.sqrt(np.diag(matrix))
-    scaled = unit[:, None] * matrix * unit
-    scaled[np.diag_indices_from(scaled)] += _ROUNDING
-    try:
-        root = linalg.cholesky(scaled, lower=True, overwrite_a=True)
-    except (np.linalg.LinAlgError, ValueError):
-        raise FitError(
-            "the holograms cannot separate the modes of this reed; look at the contact sheet "
-            "that acquire report writes, or count fringes: --method picture"
-        ) from None
+    unit, root = _scaled_root(matrix)
     lower, _ = linalg.lapack.dpotri(root, lower=1, overwrite_c=1)
     inverse: Array = np.tril(lower) + np.tril(lower, -1).T
     inverse *= unit[:, None]
     inverse *= unit
     return inverse
+
+
+def log_determinant(matrix: Array) -> float:
+    """Return the logarithm of the determinant of a matrix as for `inverse`."""
+    unit, root = _scaled_root(matrix)
+    return 2 * float(np.sum(np.log(np.diag(root) / unit)))
+
+
+def _scaled_root(matrix: Array) -> tuple[Array, Array]:
+    """Return the scale (q,) of each parameter, and the lower Cholesky factor of the scaled matrix."""
+    unit = 1 / np.sqrt(np.diag(matrix))
+    scaled = unit[:, None] * matrix * unit
+    scaled[np.diag_indices_from(scaled)] += _ROUNDING
+    try:
+        return unit, linalg.cholesky(scaled, lower=True, overwrite_a=True)
+    except (np.linalg.LinAlgError, ValueError):
+        raise FitError(
+            "the holograms cannot separate the modes of this reed; look at the contact sheet "
+            "that acquire report writes, or count fringes: --method picture"
+        ) from None

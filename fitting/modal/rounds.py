@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 from scipy.special import softmax
 
 from fitting.holograms.displacement import Displacements
@@ -29,7 +28,7 @@ from fitting.modal.model import (
 )
 from fitting.modal.noise import Noise, balanced, correlated_holograms, data_of, inflated
 from fitting.modal.normal_equations import Data, Equations, Evaluation, equations, evaluate
-from fitting.modal.optimiser import inverse, minimise_cost, without_drive
+from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
 from fitting.modal.out_of_phase import with_out_of_phase
 from fitting.modal.posterior import Posterior
 from holography.arrays import Array
@@ -192,8 +191,7 @@ def _log_evidence(
 
     `log_deviation` is that of all data, summed as they are weighed.
     """
-    root = linalg.cholesky(matrix, lower=True, check_finite=False)
-    known = 2 * float(np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(drive_root))))
+    known = log_determinant(matrix) + 2 * float(np.sum(np.log(np.diag(drive_root))))
     volumes = at.drive_prior.log_volume + prior.log_volume - known
     return 0.5 * (volumes - at.cost) - log_deviation
 

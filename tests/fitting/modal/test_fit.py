@@ -36,7 +36,7 @@ from fitting.modal.normal_equations import (
     evaluate,
     negative_gradient,
 )
-from fitting.modal.optimiser import inverse, minimise_cost, without_drive
+from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior
 from fitting.modal.refit import _moved
 from fitting.modal.rounds import LAST, one_round
@@ -944,6 +944,7 @@ def test_what_has_no_inverse_is_said_with_the_remedy():
     matrix = np.diag([1.0, 2.0, 3.0])
     matrix[0, 1] = matrix[1, 0] = 0.3
     assert inverse(matrix) == pytest.approx(np.linalg.inv(matrix))
+    assert log_determinant(matrix) == pytest.approx(np.linalg.slogdet(matrix)[1])
     matrix[0, 1] = matrix[1, 0] = 2.0
     with pytest.raises(FitError, match="--method picture"):
         inverse(matrix)

@@ -74,7 +74,7 @@ class NearbyReeds:
         inverse = np.linalg.inv(np.linalg.cholesky(M))
         squares, vectors = np.linalg.eigh(inverse @ K @ np.swapaxes(inverse, -1, -2))
         mixing = np.swapaxes(inverse, -1, -2) @ vectors
-        number = _numbers(K, squares, mixing)
+        number = _numbers(K, M, squares, mixing)
         squares = np.take_along_axis(squares, number, axis=-1)
         mixing = np.take_along_axis(mixing, number[..., None, :], axis=-1)
         return np.sqrt(np.maximum(squares, 1.0)) / (2 * np.pi), mixing
@@ -154,11 +154,13 @@ class NearbyReeds:
         return all_descriptors(reed, shapes / np.sqrt(mass))
 
 
-def _numbers(K: Array, squares: Array, mixing: Array) -> NDArray[np.intp]:
+def _numbers(K: Array, M: Array, squares: Array, mixing: Array) -> NDArray[np.intp]:
     """Return which mode (..., m) in order of frequency has each number, see `NearbyReeds.modes`."""
     answer = _same(mixing)
     own = np.sqrt(np.diagonal(K, axis1=-2, axis2=-1))
-    coupled = np.abs(K) > 2 * _WEAK * own[..., None] * own[..., None, :]
+    both = own[..., None] * own[..., None, :]
+    # At their mean frequency, mass couples two modes, too.
+    coupled = np.abs(K - both * M) > 2 * _WEAK * both
     for index in np.ndindex(answer.shape[:-1]):
         count, group = connected_components(coupled[index], directed=False)
         for each in range(count):

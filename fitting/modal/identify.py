@@ -34,10 +34,11 @@ from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import LOSS
 from fitting.names.final_names import final_names
-from fitting.names.naming import ModeNaming, name_modes
-from fitting.names.places import Place, places_of_modes
+from fitting.names.naming import ModeNaming, name_modes, reeds_behind
+from fitting.names.places import places_of_modes
+from fitting.names.reed_posterior import ReedPosterior
 from fitting.resonance import Resonance, peak_response_hz
-from holography.arrays import Array, ComplexArray, IndexArray
+from holography.arrays import Array, ComplexArray
 from physics.errors import ImpossibleReedError
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import (
@@ -212,7 +213,7 @@ def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Measure
     fitted_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))
     misplaced = {
         name: place.hz
-        for name, place in _places(sweep, reeds).items()
+        for name, place in places_of_modes(_reeds_behind(sweep, reeds)).items()
         if name in fitted_hz
         and hz[0] < place.hz < hz[-1]
         and abs(np.log(fitted_hz[name] / place.hz)) > max(LOSS, _MISPLACED * place.error)
@@ -227,31 +228,25 @@ def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Measure
     return replace(sweep, modal=again, start_hz=start_hz)
 
 
-def _places(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, Place]:
-    """Return where the reed has its modes, by name; none if the sweep or the reed is in doubt."""
+def naming_of(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, ModeNaming]:
+    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt."""
+    return name_modes(_reeds_behind(sweep, reeds), sweep.modal.names, reeds)
+
+
+def _reeds_behind(sweep: MeasuredSweep, reeds: PlausibleReeds) -> tuple[ReedPosterior, ...]:
+    """Return the reeds that have the modes of a sweep; none if the sweep or the reed is in doubt.
+
+    A reed that is not possible has no names: then all modes are refused.
+    """
     if _general_doubt(sweep):
-        return {}
-    with suppress(ImpossibleReedError):
-        return places_of_modes(sweep.modal, *_asked(sweep), reeds)
-    return {}
-
-
-def _asked(sweep: MeasuredSweep) -> tuple[ShapeBasis, tuple[Array, Array], Array, IndexArray]:
-    """Return the basis, its points, the drive frequencies, and which modes are measured."""
+        return ()
     blocks = sweep.block_amplitudes
     index = [m for m, doubt in enumerate(_measurement_doubts(sweep)) if not doubt]
     points_m = blocks.x_m, blocks.y_m
-    return sweep.basis, points_m, blocks.drive_hz, np.array(index, dtype=np.intp)
-
-
-def naming_of(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, ModeNaming]:
-    """Name the modes that are measured; there are no names if the sweep or the reed is in doubt."""
-    if _general_doubt(sweep):
-        return {}
-    # A reed that is not possible has no names: then all modes are refused.
+    measured = np.array(index, dtype=np.intp)
     with suppress(ImpossibleReedError):
-        return name_modes(sweep.modal, *_asked(sweep), reeds)
-    return {}
+        return reeds_behind(sweep.modal, sweep.basis, points_m, blocks.drive_hz, measured, reeds)
+    return ()
 
 
 def modes_in_turns(

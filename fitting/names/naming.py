@@ -81,21 +81,21 @@ class ModeNaming:
     stiffening: Stiffening | None = None
 
 
-def name_modes(
+def reeds_behind(
     modal: ModalFit,
     basis: ShapeBasis,
-    places_m: tuple[Array, Array],
+    points_m: tuple[Array, Array],
     drive_hz: Array,
     index: NDArray[np.intp],
     reeds: PlausibleReeds,
-) -> dict[str, ModeNaming]:
-    """Name the modes of a fit.
+) -> tuple[ReedPosterior, ...]:
+    """Return the reeds that have the modes of a fit; none if no mode is measured.
 
     Parameters
     ----------
     modal : ModalFit
     basis : ShapeBasis
-    places_m : ((n,) float, (n,) float)
+    points_m : ((n,) float, (n,) float)
         Points x and y of the functions of the basis.
     drive_hz : (k,) float
         Drive frequencies of the sweep.
@@ -103,24 +103,41 @@ def name_modes(
         Modes that are measured well enough.
     reeds : PlausibleReeds
 
-    Returns
-    -------
-    dict of ModeNaming
-        By the name that the mode has in `modal`.
-
     Raises
     ------
     ImpossibleReedError
         If no possible reed has such modes.
     """
     if not len(index):
-        return {}
-    visible = visible_coordinates(reeds.reed, basis, *places_m)
+        return ()
+    visible = visible_coordinates(reeds.reed, basis, *points_m)
     ends_hz = float(drive_hz[0]), float(drive_hz[-1])
-    found = reed_posterior(reeds, visible, measured_modes(modal, index), ends_hz)
+    return reed_posterior(reeds, visible, measured_modes(modal, index), ends_hz)
+
+
+def name_modes(
+    found: Sequence[ReedPosterior], names: Sequence[str], reeds: PlausibleReeds
+) -> dict[str, ModeNaming]:
+    """Name the modes of a fit.
+
+    Parameters
+    ----------
+    found : sequence of ReedPosterior
+        See `reeds_behind`.
+    names : sequence of str
+        Names of all modes in the fit.
+    reeds : PlausibleReeds
+
+    Returns
+    -------
+    dict of ModeNaming
+        By the name that the mode has in the fit.
+    """
+    if not found:
+        return {}
     weights = softmax([each.log_evidence for each in found])
     probabilities = _averaged_names(reeds, found, weights)
-    labels = [modal.names[m] for m in index]
+    labels = [names[m] for m in found[0].measured.index]
     choices = named(dict(zip(labels, probabilities, strict=True)))
     free = reeds.with_free_moduli()
     grown = [each.free_moduli for each in found if each.free_moduli]

@@ -73,7 +73,7 @@ class ReedPosterior:
     log_evidence : float
         Up to a constant that all have in common.
     mode : (a,) int
-        Number of the reed's mode, in order of frequency, that each measured mode is; -1 if none.
+        Number of the reed's mode, as in `nearby`, that each measured mode is; -1 if none.
     outside : (a,) float
         Probability that the resonance of that mode is outside the sweep, by all other modes.
     spurious : (a,) float

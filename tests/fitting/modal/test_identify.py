@@ -15,7 +15,7 @@ from fitting.forward import cents_of
 from fitting.fringes.start_frequencies import _outweighing, _room_cents
 from fitting.modal.identify import _absorbed, _with_smooth_drive, fit_jointly, joint_fit_of, mac
 from fitting.modal.refit import fit_same_reed
-from fitting.names.naming import SURE, ModeNaming, name_modes
+from fitting.names.naming import SURE, ModeNaming, name_modes, reeds_behind
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.modes import HIGHEST_HZ, ModeClass
@@ -295,7 +295,8 @@ def test_labels_that_are_exchanged_are_put_right(sweep, reed):
     index = [m for m, name in enumerate(joint.names) if name in sweep.resonances]
     places_m = blocks.x_m, blocks.y_m
     reeds = PlausibleReeds.of(reed, Series.A)
-    naming = name_modes(modal, joint.basis, places_m, blocks.drive_hz, np.array(index), reeds)
+    asked = joint.basis, places_m, blocks.drive_hz, np.array(index)
+    naming = name_modes(reeds_behind(modal, *asked, reeds), labels, reeds)
     found = refit_of(joint, modal=modal, naming=naming)
     assert {name: each.frequency_hz for name, each in found.resonances.items()} == found_hz(sweep)
 

@@ -270,7 +270,7 @@ def log_determinant(matrix: Array) -> float:
 
 
 def _scaled_root(matrix: Array) -> tuple[Array, Array]:
-    """Return the scale (q,) of each parameter, and the lower Cholesky factor of the scaled matrix."""
+    """Return the scale (q,) of each parameter, and the lower factor of the scaled matrix."""
     unit = 1 / np.sqrt(np.diag(matrix))
     scaled = unit[:, None] * matrix * unit
     scaled[np.diag_indices_from(scaled)] += _ROUNDING

@@ -278,12 +278,7 @@ def _exchanged(question: Question, fit: Fit) -> list[Fit]:
         apart = _BEYOND * float(level[other] - level[one]) / _CENT
         parameters = here.parameters.copy()
         parameters[reeds.shifts.start + np.array([one, other])] += np.array([apart, -apart])
-        there = predict(reeds, question.visible, parameters)
-        mode = fit.data.mode
-        if there.ln_hz[lower] > there.ln_hz[upper]:
-            # They hardly couple: each has kept its number, and is where the other was.
-            mode = np.select([mode == lower, mode == upper], [upper, lower], mode)
-        tried = replace(fit, here=there, data=replace(fit.data, mode=mode))
+        tried = replace(fit, here=predict(reeds, question.visible, parameters))
         for _ in range(_MOST_STEPS):
             # With the scatter of the other reed at first: a shape that is bad has no say otherwise.
             tried = refitted(question, tried)

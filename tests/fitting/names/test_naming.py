@@ -17,8 +17,9 @@ from fitting.names.naming import (
     name_probabilities,
     named,
 )
-from fitting.names.reed_fit import SHIFT_CENTS, Question, towards
-from fitting.names.reed_posterior import reed_posterior
+from fitting.names.prediction import predict
+from fitting.names.reed_fit import SHIFT_CENTS, Question, refitted, towards
+from fitting.names.reed_posterior import _first, reed_posterior
 from fitting.names.straight_lines import with_straight_lines
 from physics.errors import ImpossibleReedError
 from physics.reed.elements.fem import Symmetry
@@ -73,6 +74,24 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     assert np.abs(best.mean[:3] - [e1, e2, e3]).max() < 4 * errors.max()
     # The reed explains its modes: shifts are those that any model leaves.
     assert best.shift_cents < 2 * SHIFT_CENTS[0]
+
+
+def test_a_mode_is_the_same_after_a_step_to_a_reed_with_another_order(reeds, visible, planted):
+    """From the middle of the population to cane of little viscosity, T2 and F2 cross."""
+    sweep = planted(MEASURED, 5, e1=-0.1, e2=2.5, e3=4.0)
+    question = Question(reeds, visible, tuple(np.log(ENDS_HZ)))
+    fit = _first(question, sweep.measured)
+    here = predict(reeds, visible, np.zeros(len(reeds.names)))
+    order = [each.name for each in names_of(here.nearby.descriptors(np.eye(len(here.ln_hz))))]
+    mode = np.array([order.index(name) for name in MEASURED])
+    data = replace(fit.data, mode=mode, scatter=np.full(len(mode), 0.1))
+    fit = replace(fit, here=here, data=data)
+    for _ in range(6):
+        fit = refitted(question, fit)
+    near = fit.here.nearby
+    own = [each.name for each in names_of(near.descriptors(np.eye(len(near.found.hz))))]
+    assert [own[m] for m in fit.data.mode] == list(MEASURED)
+    assert fit.data.mode.tolist() != mode.tolist()
 
 
 def test_a_step_towards_an_impossible_reed_ends_at_a_possible_one(reeds, visible):

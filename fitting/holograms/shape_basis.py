@@ -24,6 +24,8 @@ _LEAST_FRACTION = 3e-3
 _MOST_FUNCTIONS = 32
 # Stiffnesses of shear among the nine of `physics.reed.cane.material`.
 _SHEAR = slice(6, 9)
+# Yielding of the clamp, as of the effect `clamp_compliance`, in m per Pa.
+_CLAMP_M3_N = 2e-13
 # Relative width of a resonance in squared frequency at half power: the loss factor of dry cane.
 _WIDTH = 0.03
 
@@ -44,8 +46,8 @@ class ShapeBasis:
         Eigenfrequencies in this cane, ascending.
     stiffening : (m,) float
         Exponent of the growth of a mode's stiffness with frequency near its resonance.
-    loss_mixing : (m, m) float
-        C of `fitting.modal.out_of_phase`, for these shapes.
+    loss_mixing : (2, m, m) float
+        C of `fitting.modal.out_of_phase` for these shapes, of shear and of the clamp.
     sound_hz : (h,) float
         Frequencies of `sound`.
     sound : (h, m, m) float
@@ -89,14 +91,17 @@ def shape_basis(
     surface, named = surface_shapes(reed, x_m, y_m), _named(reed, E_L_pa, G_LT_pa)
     found: list[tuple[float, str, Array, float]] = []
     mixing, shapes = [], []
+    taken_by_clamp = _yielding(reed)
     for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
         deflections = surface[symmetry] @ vectors[:, :below]
         energies = np.einsum("im,tij,jm->mt", vectors, half.stiffness_terms, vectors, optimize=True)
         felt = energies @ by_moduli / (energies @ terms)[:, None]
-        mixing.append(_loss_mixing(hz[:below], _shear(half, terms, vectors[:, :below])))
-        shapes.append(vectors[:, :below])
+        hz, vectors = hz[:below], vectors[:, :below]
+        lossy = _shear(half, terms, vectors), taken_by_clamp(symmetry, terms, hz, vectors)
+        mixing.append([_loss_mixing(hz, each) for each in lossy])
+        shapes.append(vectors)
         for number in range(below):
             exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
             stiffens = float(felt[number] @ exponents)
@@ -109,7 +114,7 @@ def shape_basis(
     largest = np.abs(deflection).max(axis=0)
     deflection = deflection / largest
     among = np.ix_(order, order)
-    mixed = linalg.block_diag(*mixing)[among] * largest / largest[:, None]
+    mixed = [linalg.block_diag(*each)[among] for each in zip(*mixing, strict=True)]
     sound_hz, sound = _sound(reed, shapes)
     functions = _functions(deflection, np.array(frequencies))
     coordinates = functions.T @ deflection / len(functions)
@@ -119,7 +124,7 @@ def shape_basis(
         names,
         np.array(frequencies),
         np.array(stiffening),
-        mixed,
+        np.stack(mixed) * largest / largest[:, None],
         sound_hz,
         sound[:, among[0], among[1]] * largest[:, None] / largest,
     )
@@ -150,8 +155,27 @@ def _shear(half: ReedPart, terms: Array, vectors: Array) -> Array:
     return found
 
 
+def _yielding(reed: ReducedReed) -> Callable[[Symmetry | None, Array, Array, Array], Array]:
+    """Return a function for the stiffness (m, m) that a yielding clamp takes from shapes."""
+    own = _CLAMP_M3_N * np.linalg.inv(reed.strip_m2)
+
+    def taken(key: Symmetry | None, terms: Array, hz: Array, vectors: Array) -> Array:
+        part = reed.loose[key]
+        strip = slice(part.held, part.size)
+        held = np.zeros((part.size, vectors.shape[1]))
+        held[: part.held] = vectors
+        squares = (2 * np.pi * hz) ** 2
+        elastic = np.tensordot(terms, part.stiffness_terms[:, strip], axes=1) @ held
+        force = reed.cane.density_kg_m3 * (part.mass[strip] @ held) * squares - elastic
+        return np.asarray(force.T @ own @ force)
+
+    return taken
+
+
 def _loss_mixing(hz: Array, shear: Array) -> Array:
-    """Return how modes (m,) of one symmetry mix if shear loses more, per unit of loss factor.
+    """Return how modes (m,) of one symmetry mix if a part of their stiffness loses more.
+
+    Per unit of loss factor; `shear` (m, m) is that part, of shear or of the clamp.
 
     First order does not hold for modes that are closer than their widths: they mix less.
     """

@@ -21,7 +21,7 @@ from physics.parameters.chamber import Chamber
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
 # Number of parameters by which modes are out of phase.
-OUT_OF_PHASE = 2
+OUT_OF_PHASE = 3
 # Loss factor of dry cane.
 LOSS = 0.03
 # Degrees of freedom of the drive's Student distributions, which admit excitation peaks.
@@ -69,8 +69,8 @@ class Model:
         See `fitting.holograms.shape_basis.ShapeBasis`.
     active : (a,) int
         Modes whose resonance lies in the sweep.
-    loss_mixing : (m, m) float
-        See `fitting.modal.out_of_phase`.
+    loss_mixing : (2, m, m) float
+        Of shear and of the clamp, see `fitting.modal.out_of_phase`.
     sound : (k, m, m) float
         See `fitting.modal.out_of_phase.sound_between_modes`.
     line_weight : float
@@ -112,8 +112,8 @@ class State:
         Parameters, one row for each vector (see `Model`).
     log_drive : (k,) complex
     shared : (p,) float
-        What all holograms share: difference of the loss factors, and sound relative to that of a
-        free plate (see `fitting.modal.out_of_phase`), then parameters of the common-mode error.
+        What all holograms share: differences of loss factors, and sound relative to that of a free
+        plate (see `fitting.modal.out_of_phase`), then parameters of the common-mode error.
     scatter : (k,) float
         Of single holograms around a smooth log magnitude of the drive.
     gain : float
@@ -128,7 +128,7 @@ class State:
 
     @property
     def out_of_phase(self) -> Array:
-        """Difference of the loss factors, and sound relative to that of a free plate (2,)."""
+        """Differences of loss factors, and sound relative to that of a free plate (3,)."""
         return self.shared[:OUT_OF_PHASE]
 
 
@@ -147,9 +147,9 @@ class Terms:
         (f/f_m)^(2 − γ_m).
     modal : (k, m) complex
         Largest deflections d h p, in phase.
-    out_of_phase : (2, k, m) complex
-        What shear and sound add to them, for a difference of 1 of the loss factors, and for the
-        sound of a free plate.
+    out_of_phase : (3, k, m) complex
+        What shear, clamp and sound add to them, for a difference of 1 of the loss factors, and for
+        the sound of a free plate.
     """
 
     resonance: ComplexArray
@@ -188,7 +188,7 @@ def terms(model: Model, state: State) -> Terms:
     participation: ComplexArray = model.powers.astype(complex) @ p.T
     modal = np.exp(state.log_drive)[:, None] * (resonance * participation)
     sent = resonance * (model.sound @ modal[..., None])[..., 0]
-    out_of_phase = 1j * np.stack([modal @ model.loss_mixing, -sent])
+    out_of_phase = 1j * np.concatenate([modal @ model.loss_mixing, -sent[None]])
     return Terms(resonance, participation, shapes, loss, ratio, modal, out_of_phase)
 
 

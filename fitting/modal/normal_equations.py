@@ -153,10 +153,10 @@ def _seen(model: Model, data: Data, at: "Evaluation") -> _Seen:
 
 def _moving_others(model: Model, at: "Evaluation") -> ComplexArray:
     """Return the displacement (k, a, j) of each active mode, with what it moves out of phase."""
-    (shear, sound), now = at.state.out_of_phase, at.terms
+    (*losses, sound), now = at.state.out_of_phase, at.terms
     by_sound = now.resonance[:, :, None] * model.sound[:, :, model.active]
-    by_shear = model.loss_mixing[model.active] @ now.shapes
-    others = shear * by_shear - sound * by_sound.swapaxes(1, 2) @ now.shapes
+    by_loss = np.tensordot(losses, model.loss_mixing[:, model.active], axes=1) @ now.shapes
+    others = by_loss - sound * by_sound.swapaxes(1, 2) @ now.shapes
     found: ComplexArray = now.shapes[model.active] + 1j * others
     return found
 
@@ -168,7 +168,7 @@ def _by_sound_of_others(model: Model, at: "Evaluation") -> tuple[ComplexArray, C
     """
     sent = (model.sound[:, model.active] @ at.terms.modal[..., None])[..., 0]
     by_hz, by_loss = by_logs(model, at.terms)
-    factor = -1j * at.state.out_of_phase[1] * sent
+    factor = -1j * at.state.out_of_phase[-1] * sent
     return factor * by_hz, factor * by_loss
 
 
@@ -284,9 +284,10 @@ def _by_own(model: Model, at: Evaluation, layout: "_Layout", pull: Array) -> Arr
     force = pull[:vectors] - 1j * pull[vectors:]
     on_modes = force[len(active) :].T.copy()
     on_modes[:, active] = force[: len(active)].T
-    shear, sound = state.out_of_phase
+    *losses, sound = state.out_of_phase
+    mixing = np.tensordot(losses, model.loss_mixing, axes=1)
     sounding = ((now.resonance * on_modes)[:, None] @ model.sound)[:, 0]
-    more = 1j * (shear * on_modes @ model.loss_mixing.T - sound * sounding).T
+    more = 1j * (on_modes @ mixing.T - sound * sounding).T
     whole = force + np.concatenate([more[active], more])
     slopes: Array = np.sum((own * whole[layout.own_v]).real, axis=1)
     for slot, by_others in enumerate(_by_sound_of_others(model, at), start=layout.logs.start):

@@ -89,7 +89,7 @@ def plate(rng, points):
     shapes /= np.abs(shapes).max(axis=0)
     functions = np.linalg.svd(shapes, full_matrices=False)[0] * np.sqrt(points)
     coordinates = (functions.T @ shapes / points).T
-    none = np.zeros(5), np.zeros((5, 5)), np.array([1e3, 2e4]), np.zeros((2, 5, 5))
+    none = np.zeros(5), np.zeros((2, 5, 5)), np.array([1e3, 2e4]), np.zeros((2, 5, 5))
     return x, y, ShapeBasis(functions.astype(np.float32), coordinates, NAMES, MODE_HZ, *none)
 
 

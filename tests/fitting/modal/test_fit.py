@@ -22,6 +22,7 @@ from fitting.modal.fit import (
 )
 from fitting.modal.model import (
     DRIVE_DOF,
+    OUT_OF_PHASE,
     Model,
     State,
     _degrees,
@@ -153,7 +154,7 @@ def planted(
         NAMES[:modes],
         start,
         np.zeros(modes),
-        np.zeros((modes, modes)),
+        np.zeros((2, modes, modes)),
         DRIVE_HZ[[0, -1]],
         np.zeros((2, modes, modes)),
     )
@@ -741,7 +742,7 @@ def point():
         MODE_HZ[:5],
         stiffening,
         active,
-        0.3 * rng.standard_normal((5, 5)),
+        0.3 * rng.standard_normal((2, 5, 5)),
         0.005 * rng.standard_normal((len(k), 5, 5)),
     )
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
@@ -750,12 +751,12 @@ def point():
     drive = 1 + 0.2 * rng.standard_normal(len(k)) + 2j * np.pi * rng.uniform(size=len(k))
     root = rng.standard_normal((len(k), 2 * j, 2 * j))
     response = rng.standard_normal((len(k), 2 * j, 3))
-    drift = FieldDrift(rng.uniform(0, 1, (len(k), 2)), np.array([2, 4]), 5, 6.0)
-    half = rng.standard_normal((9, 9))
+    drift = FieldDrift(rng.uniform(0, 1, (len(k), 2)), np.array([3, 5]), 6, 6.0)
+    half = rng.standard_normal((10, 10))
     amplitude = 5 * (rng.standard_normal((len(k), j)) + 1j * rng.standard_normal((len(k), j)))
-    shared = np.concatenate([[0.03, 1.2], rng.standard_normal(7)])
-    pull = rng.standard_normal(9)
-    data = Data(amplitude, root, response, drift, half @ half.T + np.eye(9), pull)
+    shared = np.concatenate([[0.03, -0.02, 1.2], rng.standard_normal(7)])
+    pull = rng.standard_normal(10)
+    data = Data(amplitude, root, response, drift, half @ half.T + np.eye(10), pull)
     point = Point(model, State(x, drive, shared, np.zeros(len(k))), data)
     x = np.where(point.prior.free, x, point.prior.centre)
     return replace(point, state=replace(point.state, x=x))
@@ -820,9 +821,9 @@ def test_matrices_are_those_of_the_derivatives(point):
     Left out are squares of what is out of phase, and what modes beyond the sweep move so.
     """
     sound, mixing = point.model.sound.copy(), point.model.loss_mixing.copy()
-    sound[..., point.model.passive], mixing[point.model.passive] = 0, 0
+    sound[..., point.model.passive], mixing[:, point.model.passive] = 0, 0
     model, data = replace(point.model, sound=sound, loss_mixing=mixing), point.data
-    little = np.where(np.arange(len(point.state.shared)) < 2, 1e-3, 1)
+    little = np.where(np.arange(len(point.state.shared)) < OUT_OF_PHASE, 1e-3, 1)
     point = replace(
         point, model=model, state=replace(point.state, shared=point.state.shared * little)
     )

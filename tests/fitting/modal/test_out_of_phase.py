@@ -1,4 +1,4 @@
-"""Modes that are not in phase, because shear loses more than bending, and because of sound."""
+"""Modes that are not in phase, because of what shear and the clamp lose, and because of sound."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -8,10 +8,16 @@ import pytest
 from scipy import linalg
 
 from fitting.holograms.object_field import CommonModeError
-from fitting.holograms.shape_basis import _loss_mixing
+from fitting.holograms.shape_basis import _CLAMP_M3_N, _loss_mixing, _yielding
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.out_of_phase import shared_drift, sound_between_modes, with_out_of_phase
 from fitting.modal.rounds import Optimum, Scatter, one_round
+from physics.reed.cane.material import terms_and_slopes
+from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.reduced.changes import yielding_clamp
+from physics.reed.reduced.derivatives import DENSITY, derivatives
+from physics.reed.reduced.dynamics import CaneLaw, State
+from physics.reed.reduced.vibrations import vibrations
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, planted, response
 from tests.fitting.modal.test_rounds import begun
 
@@ -41,29 +47,30 @@ def test_modes_of_one_frequency_do_not_mix():
     assert mixing[0, 1] == 0
 
 
-def test_both_are_known_as_well_as_literature_knows_them():
+def test_they_are_known_as_well_as_literature_knows_them():
     common_mode = CommonModeError(
         np.ones((7, 4, 2)), np.tile(np.eye(2), (7, 1, 1)), np.full((7, 2), 5.0)
     )
     both = with_out_of_phase(common_mode)
     assert both.response.tolist() == common_mode.response.tolist()
-    held = both.precision.sum(axis=0)[:2]
-    assert held == pytest.approx(np.array([[0.03**-2, 0, 0, 0], [0, 0.5**-2, 0, 0]]))
+    held = both.precision.sum(axis=0)[:3]
+    assert held[:, :3] == pytest.approx(np.diag([0.03**-2, 0.03**-2, 0.5**-2]))
+    assert not held[:, 3:].any()
     # A free plate is expected, and no difference.
-    assert both.pull[:, :2].sum(axis=0) == pytest.approx([0.0, 0.5**-2])
-    assert both.pull[:, 2:].tolist() == common_mode.pull.tolist()
+    assert both.pull[:, :3].sum(axis=0) == pytest.approx([0.0, 0.0, 0.5**-2])
+    assert both.pull[:, 3:].tolist() == common_mode.pull.tolist()
 
 
-def test_they_are_two_more_values_that_no_hologram_changes():
+def test_they_are_three_more_values_that_no_hologram_changes():
     displacements = planted().displacements
     drift = shared_drift(displacements)
     shift = drift.shift(np.arange(1.0, drift.parameters + 1))
-    assert shift.shape == (len(DRIVE_HZ), 2)
+    assert shift.shape == (len(DRIVE_HZ), 3)
     assert not np.ptp(shift, axis=0).any()
 
 
-def out_of_phase(seed):
-    """A planted sweep whose modes mix with a phase."""
+def out_of_phase(seed, cause=0):
+    """A planted sweep whose modes mix with a phase, by shear or by the clamp."""
     sweep = planted(seed, noise=0.005, mixing=0.1)
     count = len(sweep.hz)
     squares = MODE_HZ**2
@@ -79,14 +86,16 @@ def out_of_phase(seed):
     displacements = replace(
         sweep.displacements, amplitude_rad=sweep.displacements.amplitude_rad + more
     )
-    basis = replace(sweep.basis, loss_mixing=mixing)
+    both = np.zeros((2, count, count))
+    both[cause] = mixing
+    basis = replace(sweep.basis, loss_mixing=both)
     return replace(sweep, displacements=displacements, basis=basis)
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_losses_are_right_where_modes_are_out_of_phase(seed):
-    sweep = out_of_phase(seed)
-    real = replace(sweep, basis=replace(sweep.basis, loss_mixing=np.zeros((6, 6))))
+@pytest.mark.parametrize(("seed", "cause"), [(2, 0), (3, 0), (2, 1)])
+def test_losses_are_right_where_modes_are_out_of_phase(seed, cause):
+    sweep = out_of_phase(seed, cause)
+    real = replace(sweep, basis=replace(sweep.basis, loss_mixing=np.zeros((2, 6, 6))))
     found, without = sweep.fit(), real.fit()
     pulls = [
         np.sqrt(np.mean((np.log(each.loss_factor / sweep.loss[:5]) / each.loss_error) ** 2))
@@ -95,10 +104,30 @@ def test_losses_are_right_where_modes_are_out_of_phase(seed):
     assert pulls[0] < 2
     assert pulls[1] > 3
     assert found.discrepancy < 0.3 * without.discrepancy
-    assert found.state.out_of_phase[0] == pytest.approx(DIFFERENCE, rel=0.1)
+    assert found.state.out_of_phase[cause] == pytest.approx(DIFFERENCE, rel=0.1)
     # It is no error of the light.
     assert found.common_mode_shift.shape == (len(DRIVE_HZ), 0)
     assert found.common_mode_covariance.shape == (len(DRIVE_HZ), 0, 0)
+
+
+# --- Clamp ---------------------------------------------------------------------------------------
+
+
+def test_the_clamp_takes_from_modes_what_lowers_them_if_it_yields(reed):
+    cane = viscoelastic_cane(Components(), Series.A)
+    found = vibrations(reed, State(CaneLaw(reed.cane, cane), air_fraction=0.0), 12e3)
+    unit = derivatives(found, [yielding_clamp(reed, _CLAMP_M3_N, _CLAMP_M3_N)]).ln_hz
+    # What a change of stiffness by its energy does: that of mass is as large.
+    expected = unit[:, -1] / unit[:, DENSITY]
+    taken, lowest = _yielding(reed), np.zeros(len(found.hz))
+    terms, _ = terms_and_slopes(found.state.law.constants_at(found.hz))
+    for start, (key, part) in zip(reed.starts, reed.loose.items(), strict=True):
+        rows = found.coordinates[start : start + part.held]
+        for m in np.flatnonzero(np.abs(rows).max(axis=0) > 0):
+            energy = taken(key, terms[m], found.hz[[m]], rows[:, [m]])
+            lowest[m] = energy[0, 0] / (2 * np.pi * found.hz[m]) ** 2
+    assert np.all(expected > 0)
+    assert lowest == pytest.approx(expected, rel=1e-6)
 
 
 # --- Sound ---------------------------------------------------------------------------------------
@@ -141,7 +170,7 @@ def test_modes_are_right_where_they_send_each_other_sound(seed, share):
     assert rms[0] < 2
     assert rms[1] > 3
     assert found.discrepancy < without.discrepancy
-    assert found.state.out_of_phase[1] == pytest.approx(share, abs=0.15)
+    assert found.state.out_of_phase[-1] == pytest.approx(share, abs=0.15)
 
 
 def test_a_mode_sends_no_sound_to_itself():

@@ -95,19 +95,15 @@ def shape_basis(
     for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
-        deflections = surface[symmetry] @ vectors[:, :below]
-        energies = np.einsum("im,tij,jm->mt", vectors, half.stiffness_terms, vectors, optimize=True)
-        felt = energies @ by_moduli / (energies @ terms)[:, None]
         hz, vectors = hz[:below], vectors[:, :below]
+        stiffens = _stiffening(half, terms, by_moduli, hz, vectors, growth)
         lossy = _shear(half, terms, vectors), taken_by_clamp(symmetry, terms, hz, vectors)
         mixing.append([_loss_mixing(hz, each) for each in lossy])
         shapes.append(vectors)
-        for number in range(below):
-            exponents = growth(float(hz[number])) if growth else (0.0, 0.0)
-            stiffens = float(felt[number] @ exponents)
+        for number, deflections in enumerate((surface[symmetry] @ vectors).T):
             key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
             name = named.get(key, other)
-            found.append((float(hz[number]), name, deflections[:, number], stiffens))
+            found.append((float(hz[number]), name, deflections, float(stiffens[number])))
     order = np.argsort([mode[0] for mode in found])
     frequencies, names, columns, stiffening = zip(*(found[m] for m in order), strict=True)
     deflection = np.stack(columns, axis=1)
@@ -128,6 +124,23 @@ def shape_basis(
         sound_hz,
         sound[:, among[0], among[1]] * largest[:, None] / largest,
     )
+
+
+def _stiffening(
+    half: ReedPart,
+    terms: Array,
+    by_moduli: Array,
+    hz: Array,
+    vectors: Array,
+    growth: Callable[[float], tuple[float, float]] | None,
+) -> Array:
+    """Return the exponents (m,) with which the stiffness of modes grows; 0 without `growth`."""
+    if growth is None:
+        return np.zeros(len(hz))
+    energies = np.einsum("im,tij,jm->mt", vectors, half.stiffness_terms, vectors, optimize=True)
+    felt = energies @ by_moduli / (energies @ terms)[:, None]
+    exponents = np.array([growth(each) for each in hz.tolist()])
+    return np.asarray(np.sum(felt * exponents, axis=1))
 
 
 def _named(

@@ -358,11 +358,16 @@ def _staged(
 def _again(
     model: Model, known: ModalFit, displacements: Displacements, drift: FieldDrift
 ) -> tuple[Model, State]:
-    """Start from known modes: only the drive of every hologram is fitted to the displacements."""
+    """Start from known modes: only the drive of every hologram is fitted to the displacements.
+
+    What is out of phase belongs to these modes; other parameters of the light do not.
+    """
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
-    state = replace(known.state, log_drive=np.log(drive), shared=expected_shared(drift))
+    shared = expected_shared(drift)
+    shared[:OUT_OF_PHASE] = known.state.out_of_phase
+    state = replace(known.state, log_drive=np.log(drive), shared=shared)
     return at_level(model, state), state
 
 

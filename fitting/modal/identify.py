@@ -195,10 +195,13 @@ def _fitted(
 
 
 def finished(sweep: MeasuredSweep) -> MeasuredSweep:
-    """Fit the drive of a sweep, too."""
-    hz, volts = sweep.block_amplitudes.drive_hz, sweep.block_amplitudes.volts
-    start_hz = dict(sweep.start_hz)
-    modal = fit_modes(sweep.displacements, sweep.basis, hz, volts, start_hz, sweep.modal)
+    """Fit a sweep from the frequencies of its rough fit, and its drive, too.
+
+    The rest of a rough fit is no start: it may lie in another valley (decision 0063).
+    """
+    modal, blocks = sweep.modal, sweep.block_amplitudes
+    start_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))
+    modal = fit_modes(sweep.displacements, sweep.basis, blocks.drive_hz, blocks.volts, start_hz)
     return replace(sweep, modal=modal)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from scipy import linalg
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import _CLAMP_M3_N, _loss_mixing, _yielding
 from fitting.modal.field_drift import FIRST_WALK
+from fitting.modal.fit import _again, _model, fit_modes
+from fitting.modal.identify import MeasuredSweep, finished
 from fitting.modal.out_of_phase import shared_drift, sound_between_modes, with_out_of_phase
 from fitting.modal.rounds import Optimum, Scatter, one_round
 from physics.reed.cane.material import terms_and_slopes
@@ -18,8 +21,9 @@ from physics.reed.reduced.changes import yielding_clamp
 from physics.reed.reduced.derivatives import DENSITY, derivatives
 from physics.reed.reduced.dynamics import CaneLaw, State
 from physics.reed.reduced.vibrations import vibrations
-from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, planted, response
+from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, NAMES, planted, response
 from tests.fitting.modal.test_rounds import begun
+from tests.numbers import cents
 
 # Loss factors of the literature differ by about this.
 DIFFERENCE = 0.025
@@ -108,6 +112,31 @@ def test_losses_are_right_where_modes_are_out_of_phase(seed, cause):
     # It is no error of the light.
     assert found.common_mode_shift.shape == (len(DRIVE_HZ), 0)
     assert found.common_mode_covariance.shape == (len(DRIVE_HZ), 0, 0)
+
+
+def test_a_known_fit_starts_with_what_its_modes_are_out_of_phase_by():
+    sweep = out_of_phase(2)
+    found, starts = sweep.fit(), dict(zip(NAMES[:5], MODE_HZ[:5].tolist(), strict=True))
+    model, _ = _model(sweep.basis, DRIVE_HZ, sweep.volts, starts)
+    _, state = _again(model, found, sweep.displacements, shared_drift(sweep.displacements))
+    assert found.state.out_of_phase[0] > 0.5 * DIFFERENCE
+    assert state.out_of_phase.tolist() == found.state.out_of_phase.tolist()
+
+
+def test_the_last_fit_does_not_depend_on_other_numbers_of_a_rough_one():
+    sweep = out_of_phase(2)
+    starts = dict(zip(NAMES[:5], MODE_HZ[:5].tolist(), strict=True))
+    asked = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts, starts
+    rough = fit_modes(*asked, rough=True)
+    blocks = SimpleNamespace(drive_hz=DRIVE_HZ, volts=sweep.volts)
+    given = MeasuredSweep(blocks, sweep.basis, sweep.displacements, rough, starts)
+    other = replace(rough.state, x=-rough.state.x, shared=-rough.state.shared)
+    ends = [finished(replace(given, modal=replace(rough, state=s))) for s in (rough.state, other)]
+    assert ends[0].modal.hz.tolist() == ends[1].modal.hz.tolist()
+    assert ends[0].start_hz == starts
+    # Rough frequencies are a start, from which the same is found.
+    moved = finished(replace(given, modal=replace(rough, hz=rough.hz * 1.01))).modal
+    assert 0 < np.abs(cents(moved.hz, ends[0].modal.hz)).max() < 0.5
 
 
 # --- Clamp ---------------------------------------------------------------------------------------

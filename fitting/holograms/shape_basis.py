@@ -7,6 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from holography.arrays import Array, Float32Array
+from physics.effects.clamp_compliance import EFFECT as CLAMP_COMPLIANCE
 from physics.reed.cane.material import constants_of, terms_and_slopes
 from physics.reed.elements.fem import Symmetry
 from physics.reed.reduced.elastic import elastic_modes, reduced_modes
@@ -24,8 +25,8 @@ _LEAST_FRACTION = 3e-3
 _MOST_FUNCTIONS = 32
 # Stiffnesses of shear among the nine of `physics.reed.cane.material`.
 _SHEAR = slice(6, 9)
-# Yielding of the clamp, as of the effect `clamp_compliance`, in m per Pa.
-_CLAMP_M3_N = 2e-13
+# Usual compliance of the clamp, in m per Pa.
+_COMPLIANCE_M_PA = CLAMP_COMPLIANCE.parameters[0].spread
 # Relative width of a resonance in squared frequency at half power: the loss factor of dry cane.
 _WIDTH = 0.03
 
@@ -170,7 +171,7 @@ def _shear(half: ReedPart, terms: Array, vectors: Array) -> Array:
 
 def _yielding(reed: ReducedReed) -> Callable[[Symmetry | None, Array, Array, Array], Array]:
     """Return a function for the stiffness (m, m) that a yielding clamp takes from shapes."""
-    own = _CLAMP_M3_N * np.linalg.inv(reed.strip_m2)
+    own = _COMPLIANCE_M_PA * np.linalg.inv(reed.strip_m2)
 
     def taken(key: Symmetry | None, terms: Array, hz: Array, vectors: Array) -> Array:
         part = reed.loose[key]
@@ -185,17 +186,16 @@ def _yielding(reed: ReducedReed) -> Callable[[Symmetry | None, Array, Array, Arr
     return taken
 
 
-def _loss_mixing(hz: Array, shear: Array) -> Array:
-    """Return how modes (m,) of one symmetry mix if a part of their stiffness loses more.
+def _loss_mixing(hz: Array, part: Array) -> Array:
+    """Return how modes (m,) of one symmetry mix if a part (m, m) of their stiffness loses more.
 
-    Per unit of loss factor; `shear` (m, m) is that part, of shear or of the clamp.
-
-    First order does not hold for modes that are closer than their widths: they mix less.
+    Per unit of loss factor; the part is that of shear or of the clamp. First order does not hold
+    for modes that are closer than their widths: they mix less.
     """
     squares = (2 * np.pi * hz) ** 2
     apart = np.subtract.outer(squares, squares)
     width = _WIDTH * np.sqrt(np.outer(squares, squares))
-    found: Array = shear * apart / (apart**2 + width**2)
+    found: Array = part * apart / (apart**2 + width**2)
     return found
 
 

@@ -195,9 +195,9 @@ def _fitted(
 
 
 def finished(sweep: MeasuredSweep) -> MeasuredSweep:
-    """Fit a sweep from the frequencies of its rough fit, and its drive, too.
+    """Fit modes and drive of a sweep, starting from the frequencies of its rough fit.
 
-    The rest of a rough fit is no start: it may lie in another valley (decision 0063).
+    Its other numbers are no start: they may lead to another optimum (decision 0063).
     """
     modal, blocks = sweep.modal, sweep.block_amplitudes
     start_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))

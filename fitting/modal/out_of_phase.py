@@ -13,9 +13,9 @@ with Δη = 0.025 (decision 0039).
 
 **Clamp.** The elastic beds of the strips lose another part of their energy than the cane. They have
 the energy that a yielding clamp takes from the modes: with F the forces that hold the strips of a
-rigid clamp, S their area and c the yielding of the beds, G = c Fᵀ S⁻¹ F. A clamp that loses nothing
-makes the loss factor of F2 3 % too small, otherwise (decision 0062). c and the difference of the
-loss factors are one number, relative to the yielding of `clamp_compliance`.
+rigid clamp, S their area and c the compliance of the beds, G = c Fᵀ S⁻¹ F; Δη is the loss factor of
+the beds less that of cane. If this is left out, beds that lose nothing make the loss factor of F2
+3 % too small (decision 0062). Only the product of c and Δη is known: Δη is that for a usual c.
 
 **Sound.** The sound that a mode n sends out moves mode m, with the resistance R_mn between them:
 
@@ -40,8 +40,8 @@ from fitting.modal.field_drift import FieldDrift, field_drift
 from fitting.modal.model import OUT_OF_PHASE
 from holography.arrays import Array
 
-# Expectation and standard deviation of Δη: shear loses up to twice as much, and dry cane 0.03; a
-# clamp of usual yielding loses nothing, or as much more. The same of the sound: a mouthpiece guides
+# Expectation and standard deviation of both Δη: dry cane loses 0.03, shear up to twice as much, and
+# the bed of a clamp between nothing and twice as much. The same of the sound: a mouthpiece guides
 # the air more than a free plate does and less than a wall (decision 0026).
 _EXPECTED, _SPREAD = np.array([0.0, 0.0, 1.0]), np.array([0.03, 0.03, 0.5])
 

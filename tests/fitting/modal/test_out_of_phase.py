@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from fitting.holograms.object_field import CommonModeError
-from fitting.holograms.shape_basis import _CLAMP_M3_N, _loss_mixing, _yielding
+from fitting.holograms.shape_basis import _COMPLIANCE_M_PA, _loss_mixing, _yielding, shape_basis
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.fit import _again, _model, fit_modes
 from fitting.modal.identify import MeasuredSweep, finished
@@ -145,7 +145,7 @@ def test_the_last_fit_does_not_depend_on_other_numbers_of_a_rough_one():
 def test_the_clamp_takes_from_modes_what_lowers_them_if_it_yields(reed):
     cane = viscoelastic_cane(Components(), Series.A)
     found = vibrations(reed, State(CaneLaw(reed.cane, cane), air_fraction=0.0), 12e3)
-    unit = derivatives(found, [yielding_clamp(reed, _CLAMP_M3_N, _CLAMP_M3_N)]).ln_hz
+    unit = derivatives(found, [yielding_clamp(reed, _COMPLIANCE_M_PA, _COMPLIANCE_M_PA)]).ln_hz
     # What a change of stiffness by its energy does: that of mass is as large.
     expected = unit[:, -1] / unit[:, DENSITY]
     taken, lowest = _yielding(reed), np.zeros(len(found.hz))
@@ -157,6 +157,17 @@ def test_the_clamp_takes_from_modes_what_lowers_them_if_it_yields(reed):
             lowest[m] = energy[0, 0] / (2 * np.pi * found.hz[m]) ** 2
     assert np.all(expected > 0)
     assert lowest == pytest.approx(expected, rel=1e-6)
+
+
+def test_shapes_come_with_what_shear_and_then_the_clamp_mixes(reed, monkeypatch):
+    x, y = np.meshgrid(np.linspace(1e-3, 30e-3, 12), np.linspace(-5e-3, 5e-3, 7))
+    asked = reed, 14e9, 0.8e9, x.ravel(), y.ravel()
+    yielding = shape_basis(*asked).loss_mixing
+    monkeypatch.setattr("fitting.holograms.shape_basis._COMPLIANCE_M_PA", 0.0)
+    rigid = shape_basis(*asked).loss_mixing
+    assert np.array_equal(rigid[0], yielding[0])
+    assert not rigid[1].any()
+    assert np.count_nonzero(yielding[1]) == np.count_nonzero(yielding[0]) > 0
 
 
 # --- Sound ---------------------------------------------------------------------------------------

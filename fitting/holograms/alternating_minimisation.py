@@ -225,6 +225,11 @@ def cost(problem: Problem, at: Solution) -> Array:
     return left
 
 
+def whole_cost(problem: Problem, at: Solution) -> float:
+    """Return the negative log likelihood of all holograms with the prior of their gains."""
+    return float(np.sum(cost(problem, at)) + len(at.gain) * np.log(problem.gain_nepers))
+
+
 def settled(sweep: Sweep, at: Solution, most_turns: int) -> tuple[Solution, FieldStep]:
     """Repeat alternating steps until they lower the misfit, or move displacements, no more.
 

@@ -25,6 +25,9 @@ from runs.records import StepRecord
 # Side of a block: ten of the finest speckles that a full sensor resolves are enough to average, and
 # the displacement may still change by 1 to 2 rad across the block.
 _BLOCK_M = 0.38e-3
+# ... and pixels along it, however coarse they are. The place of a block is the centre of its light,
+# which a single pixel, one speckle that it resolves, does not have.
+_LEAST_PIXELS = 2
 # Margin inside the contour: blocks on the edge contain less reed than others.
 _EDGE_M = 0.25e-3
 # Behind the vamp the clamp begins: the reed is dark there and does not move.
@@ -214,7 +217,9 @@ class _Blocks:
 
 def _blocks(run: Run) -> _Blocks:
     """Find the blocks of a run's image that lie on the vamp."""
-    high, wide = (max(1, round(_BLOCK_M / _pixel_m(axis_m))) for axis_m in (run.y_m, run.x_m))
+    high, wide = (
+        max(_LEAST_PIXELS, round(_BLOCK_M / _pixel_m(axis_m))) for axis_m in (run.y_m, run.x_m)
+    )
     y_m, x_m = _in_blocks(run.y_m, high), _in_blocks(run.x_m, wide)
     Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
     reed = run.reed_file().geometry()

@@ -48,6 +48,12 @@ class FieldChange:
     scatter: float
 
 
+def same_change(one: FieldChange, other: FieldChange) -> bool:
+    """Whether two changes of the object field differ by less than a tenth, as does their noise."""
+    pairs = (one.walk, other.walk), (one.scatter, other.scatter)
+    return all(abs(a - b) <= 0.1 * max(a, b) for a, b in pairs)
+
+
 @dataclass(frozen=True)
 class FieldEstimate:
     """Object field of every hologram, from all others.

@@ -20,8 +20,9 @@ from fitting.holograms.alternating_minimisation import (
     FAR,
     Solution,
     Sweep,
-    cost,
+    middle,
     settled,
+    whole_cost,
     with_field,
 )
 from fitting.holograms.amplitudes import (
@@ -35,6 +36,7 @@ from fitting.holograms.changing_field import (
     FieldChange,
     field_estimate,
     found_change,
+    same_change,
     unlikelihood,
 )
 from fitting.holograms.continuation import (
@@ -52,6 +54,7 @@ from fitting.holograms.object_field import (
 )
 from fitting.holograms.problem import Problem
 from fitting.holograms.retries import (
+    agree,
     all_from_expected,
     field_of_others,
     in_other_fringes,
@@ -59,7 +62,6 @@ from fitting.holograms.retries import (
     relative_misfit,
     tried_again,
     unexplained,
-    with_fringes,
     with_wrong_gain,
 )
 from fitting.holograms.shape_basis import ShapeBasis
@@ -112,6 +114,9 @@ class Displacements:
         How much the object field changes; None if that is not known.
     reached : (k,) bool
         Whether the misfit of a hologram is near that of its noise.
+    positions : (n, 2) complex, optional
+        Mean positions of the light within each block, see
+        `fitting.holograms.within_blocks.speckle_positions`.
     """
 
     amplitude_rad: ComplexArray
@@ -125,6 +130,13 @@ class Displacements:
     field_variance: NDArray[np.float32] | None
     change: FieldChange | None
     reached: NDArray[np.bool_]
+    positions: ComplexArray | None = None
+
+    @property
+    def solution(self) -> Solution:
+        """Amplitudes, gains and object field of all holograms."""
+        light = self.object_field, self.field_variance, self.positions
+        return Solution(self.amplitude_rad, self.gain, *light)
 
 
 def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> Displacements:
@@ -208,7 +220,7 @@ def _best_start(
         if rough is not None and cost not in costs:
             if best is None:
                 best = refined(rough)
-            elif _agree(whole, best, rough):
+            elif agree(whole, best.amplitude_rad, rough.amplitude_rad):
                 if in_other_fringes(whole, best.amplitude_rad, rough.amplitude_rad).size:
                     best = refined(best, rough)
                 break
@@ -250,18 +262,9 @@ def _field_of(problem: Problem, a: ComplexArray, gain: Array, weight: Array) -> 
 
 
 def _unlikelihood(whole: Problem, found: Displacements) -> float:
-    change, field = found.change or FieldChange(0.0, 0.0), found.object_field
-    return unlikelihood(whole, found.amplitude_rad, found.gain, field, change, found.misfit)
-
-
-def _agree(problem: Problem, one: Displacements, other: Displacements) -> bool:
-    """Whether two starts end in the same fringes at most holograms that have any.
-
-    Where they differ, one of them has lost its way.
-    """
-    both = one.amplitude_rad, other.amplitude_rad
-    fringes = np.count_nonzero(with_fringes(problem, *both))
-    return bool(in_other_fringes(problem, *both).size <= (1 - _MOST_EXPLAINED) * fringes)
+    change, own = found.change or FieldChange(0.0, 0.0), middle(whole, found.solution)
+    at = found.amplitude_rad, found.gain, found.object_field
+    return unlikelihood(own, *at, change, found.misfit)
 
 
 def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
@@ -294,10 +297,9 @@ def _refined(
     few: _Level, rough: Displacements, other: Displacements | None = None
 ) -> Displacements:
     """Minimise from a solution; where another one differs, the better of both is taken."""
-    at = Solution(rough.amplitude_rad, rough.gain, rough.object_field, rough.field_variance)
     solved = np.isfinite(rough.misfit)
     theirs = None if other is None else other.amplitude_rad
-    return _finished(few, at, solved, _MOST_TURNS, rough.change, theirs)
+    return _finished(few, rough.solution, solved, _MOST_TURNS, rough.change, theirs)
 
 
 def explained_amplitudes(
@@ -350,7 +352,8 @@ def refit_displacements(
     changes = (before.common_mode.response @ common_mode_shift[..., None])[..., 0]
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
-    at = Solution(a, before.gain, object_field, before.field_variance)
+    light = object_field, before.field_variance, before.positions
+    at = Solution(a, before.gain, *light)
     solved = np.isfinite(before.misfit)
     bad = np.flatnonzero(off | ~solved)
     if len(bad) < len(solved):
@@ -385,7 +388,7 @@ def _finished(
     """
     whole, steps = level.problem, np.flatnonzero(solved)
     problem = whole.some(steps)
-    at = Solution(at.amplitude[steps], at.gain[steps], *_rows_of(at, steps), at.positions)
+    at = _some(at, steps)
     sweep = Sweep(problem, problem.exact(), level.smooth, change, common)
     at, step = settled(sweep, at, most_turns)
     for _ in range(1 if most_turns == _QUICK_TURNS else _MOST_CHANGES):
@@ -393,7 +396,7 @@ def _finished(
         scatter_nepers = gain_scatter(sweep.problem, at.gain, step.linear.normal.matrix)
         sweep = sweep.with_gains(scatter_nepers, now)
         at, step = settled(sweep, at, most_turns)
-        if before is not None and _same(before, now):
+        if before is not None and same_change(before, now):
             break
     if most_turns > _QUICK_TURNS:
         theirs = None if other is None else other[steps]
@@ -416,8 +419,7 @@ def _with_steady_light(few: _Level, found: Displacements) -> Displacements:
     if not wrong.size and found.gain_nepers < _LIKE_MOST * usual_nepers:
         return found
     problem = replace(few.problem, gain_nepers=found.gain_nepers).some(solved)
-    at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
-    at = Solution(at.amplitude[solved], at.gain[solved], *_rows_of(at, solved))
+    at = _some(found.solution, solved)
     change = found.change or FieldChange(0.0, 0.0)
     sweep = Sweep(problem, problem.exact(), few.smooth, change)
     steady = sweep.with_gains(usual_nepers, change)
@@ -426,20 +428,17 @@ def _with_steady_light(few: _Level, found: Displacements) -> Displacements:
     change = _change_of(steady.problem, tried, step)
     there = steady.with_gains(scatter_nepers, change)
     tried, step = in_right_fringes(there, *settled(there, tried, _MOST_TURNS), _MOST_TURNS)
-    if _whole_cost(sweep.problem, at) <= _whole_cost(there.problem, tried):
+    if whole_cost(sweep.problem, at) <= whole_cost(there.problem, tried):
         return found
     whole = replace(few.problem, gain_nepers=scatter_nepers)
     return _displacements_of(whole, solved, tried, step, change)
 
 
-def _whole_cost(problem: Problem, at: Solution) -> float:
-    """Return the negative log likelihood of all holograms with the prior of their gains."""
-    return float(np.sum(cost(problem, at)) + len(at.gain) * np.log(problem.gain_nepers))
-
-
-def _rows_of(at: Solution, steps: IndexArray) -> tuple[ComplexArray, Array | None]:
+def _some(at: Solution, steps: IndexArray) -> Solution:
+    """Return amplitudes, gains and object field of some of the holograms."""
     field = at.object_field if at.object_field.ndim == 1 else at.object_field[steps]
-    return field, None if at.field_variance is None else at.field_variance[steps]
+    variance = None if at.field_variance is None else at.field_variance[steps]
+    return Solution(at.amplitude[steps], at.gain[steps], field, variance, at.positions)
 
 
 def _change_of(problem: Problem, at: Solution, step: FieldStep) -> FieldChange:
@@ -450,13 +449,9 @@ def _change_of(problem: Problem, at: Solution, step: FieldStep) -> FieldChange:
     explained[unexplained(relative_misfit(misfit, signal), problem.seen)] = False
     if not explained.any():
         explained[:] = True
-    return found_change(problem, at.amplitude, at.gain, at.object_field, explained)
-
-
-def _same(one: FieldChange, other: FieldChange) -> bool:
-    """Whether two changes of the object field differ by less than a tenth, as does their noise."""
-    pairs = (one.walk, other.walk), (one.scatter, other.scatter)
-    return all(abs(a - b) <= 0.1 * max(a, b) for a, b in pairs)
+    # Across fringes, light that is not in the middle of its block would look like other light.
+    own = middle(problem, at)
+    return found_change(own, at.amplitude, at.gain, at.object_field, explained)
 
 
 def _displacements_of(
@@ -484,7 +479,8 @@ def _displacements_of(
     weight[solved] = 1 / np.maximum(of_these, 1)
     nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
     field = at.object_field[nearest]
-    everywhere = field_estimate(whole, amplitude, gain, field, change, weight)
+    own = middle(whole, Solution(amplitude, gain, field, positions=at.positions))
+    everywhere = field_estimate(own, amplitude, gain, field, change, weight)
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
@@ -497,4 +493,5 @@ def _displacements_of(
         field_variance=everywhere.variance,
         change=change,
         reached=misfit < FAR,
+        positions=at.positions,
     )

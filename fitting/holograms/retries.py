@@ -52,6 +52,8 @@ _SAME_FRINGE = 0.2
 # ... by which two starts may differ: each may be off by that tenth, in opposite directions. Chosen:
 # halfway from there to the next fringe.
 _SAME_START = 0.26
+# Part of the holograms with fringes in which two starts that agree may differ: chosen.
+_MOST_DIFFER = 0.2
 # Least gain in log likelihood of another solution: odds of 150 to 1.
 _LEAST_GAIN = 5.0
 # Levenberg-Marquardt steps of each trial.
@@ -149,6 +151,15 @@ def in_other_fringes(problem: Problem, one: ComplexArray, other: ComplexArray) -
     """
     same = same_fringe(one, other, _SAME_START)
     return np.flatnonzero(with_fringes(problem, one, other) & ~same)
+
+
+def agree(problem: Problem, one: ComplexArray, other: ComplexArray) -> bool:
+    """Whether two starts end in the same fringes at most holograms that have any.
+
+    Where they differ, one of them has lost its way.
+    """
+    fringes = np.count_nonzero(with_fringes(problem, one, other))
+    return bool(in_other_fringes(problem, one, other).size <= _MOST_DIFFER * fringes)
 
 
 def with_fringes(problem: Problem, *solutions: ComplexArray) -> NDArray[np.bool_]:

@@ -155,6 +155,7 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
         field_variance=None,
         change=None,
         reached=np.zeros(count, dtype=bool),
+        positions=old.positions,
     )
 
 

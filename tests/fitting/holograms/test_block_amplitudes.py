@@ -1,6 +1,7 @@
 """Block amplitudes of planted matrices of rank one, and of run files made for the test."""
 
 import shutil
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.special import j0, j1, jv
 import acquire
 from fitting.errors import FitError
 from fitting.holograms.block_amplitudes import (
+    _blocks,
     _in_blocks,
     _leading,
     read_block_amplitudes,
@@ -219,6 +221,19 @@ def test_blocks_cover_the_reed_without_gaps(block_amplitudes):
     wide = np.maximum(half_width_m(Outline(), x) - EDGE_M, 0) * 2
     area = np.trapezoid(wide, x)
     assert len(block_amplitudes.x_m) * 2 * 3 * 189.5e-6 * 151.6e-6 == pytest.approx(area, rel=0.08)
+
+
+@pytest.mark.parametrize("coarser", [2, 3])
+def test_blocks_of_coarse_images_have_pixels_on_both_sides_of_their_middle(sweep_a, coarser):
+    """A block of one pixel would not show where in it the light is."""
+    with Run.open(sweep_a) as run:
+        coarse = SimpleNamespace(
+            x_m=run.x_m[::coarser], y_m=run.y_m[::coarser], reed_file=run.reed_file
+        )
+        blocks = _blocks(coarse)
+    assert (blocks.high, blocks.wide) == (2, 2)
+    for places in (blocks.x_m, blocks.y_m):
+        assert (np.ptp(places, axis=1) > 0).all()
 
 
 def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields):

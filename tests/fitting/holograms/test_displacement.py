@@ -16,7 +16,6 @@ from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.continuation import Continuation, continued, starts_of
 from fitting.holograms.displacement import (
     Displacements,
-    _agree,
     fit_displacements,
     refit_displacements,
 )
@@ -28,6 +27,7 @@ from fitting.holograms.problem import (
 )
 from fitting.holograms.retries import (
     _likely_sizes,
+    agree,
     field_of_others,
     in_other_fringes,
     relative_misfit,
@@ -427,7 +427,7 @@ def nothing_explained(monkeypatch):
 @pytest.mark.usefixtures("nothing_explained")
 def test_few_starts_are_tried_where_hardly_anything_is_explained(sweep, monkeypatch):
     begun = counted_starts(monkeypatch)
-    monkeypatch.setattr("fitting.holograms.displacement._agree", lambda *_: False)
+    monkeypatch.setattr("fitting.holograms.displacement.agree", lambda *_: False)
     solve(sweep)
     assert len(begun) == 3
 
@@ -446,14 +446,14 @@ def test_a_start_that_looks_better_is_compared_after_both_were_refined(sweep, mo
     costs = {"a": 10.0, "b": 8.0, "c": 9.0, "A": 5.0, "B": 7.0}
 
     def solution(tag):
-        return SimpleNamespace(tag=tag, misfit=np.ones(len(DRIVE_HZ)))
+        return SimpleNamespace(tag=tag, misfit=np.ones(len(DRIVE_HZ)), amplitude_rad=None)
 
     monkeypatch.setattr(f"{module}.continued", lambda *_: True)
     monkeypatch.setattr(f"{module}._from_search", lambda *_: solution(next(rough)))
     monkeypatch.setattr(f"{module}._refined", lambda *a: solution(a[1].tag.upper()))
     monkeypatch.setattr(f"{module}._of_all_blocks", lambda _, found: found)
     monkeypatch.setattr(f"{module}._unlikelihood", lambda _, found: costs[found.tag])
-    monkeypatch.setattr(f"{module}._agree", lambda *_: False)
+    monkeypatch.setattr(f"{module}.agree", lambda *_: False)
     assert solve(sweep).tag == "A"
     costs["B"], rough = 4.0, iter("abc")
     assert solve(sweep).tag == "B"
@@ -504,13 +504,14 @@ def test_starts_agree_if_most_displacements_with_fringes_are_in_the_same(sweep, 
         return replace(settled, amplitude_rad=amplitude)
 
     turned = moved(1.1 * np.exp(2j), slice(None))
-    assert _agree(problem, settled, turned)
+    assert agree(problem, settled.amplitude_rad, turned.amplitude_rad)
     # At 10 rad the next fringe is farther than this.
     other_fringe = moved(1 + np.pi / 10, few)
-    assert _agree(problem, settled, other_fringe)
+    assert agree(problem, settled.amplitude_rad, other_fringe.amplitude_rad)
     apart = in_other_fringes(problem, settled.amplitude_rad, other_fringe.amplitude_rad)
     assert apart.tolist() == few.tolist()
-    assert not _agree(problem, settled, moved(1 + np.pi / 10, most))
+    apart = moved(1 + np.pi / 10, most).amplitude_rad
+    assert not agree(problem, settled.amplitude_rad, apart)
     # Without fringes, a brighter object field looks like a smaller displacement.
     dimmer = moved(0.5, np.flatnonzero(largest < 1.0))
     assert in_other_fringes(problem, settled.amplitude_rad, dimmer.amplitude_rad).size == 0

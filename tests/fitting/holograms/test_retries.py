@@ -154,7 +154,7 @@ def test_light_that_is_not_steady_stays_as_it_is(sweep, found):
 
 def test_the_likelier_of_steady_and_unsteady_light_is_kept(sweep, found, monkeypatch):
     level, costs = _Level.of(sweep.block_amplitudes, sweep.basis), iter([1.0, 2.0])
-    monkeypatch.setattr(displacement, "_whole_cost", lambda *_: next(costs))
+    monkeypatch.setattr(displacement, "whole_cost", lambda *_: next(costs))
     loose = replace(found, gain_nepers=0.12)
     assert _with_steady_light(level, loose) is loose
     assert next(costs, None) is None

@@ -1,6 +1,7 @@
 """Tests of what a displacement that changes within a block does to its amplitude."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy.special import j1
 from fitting.holograms.alternating_minimisation import Solution, cost
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
-from fitting.holograms.displacement import Displacements, explained_amplitudes
+from fitting.holograms.displacement import Displacements, _change_of, explained_amplitudes
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
@@ -93,6 +94,31 @@ def test_positions_are_found_and_taken_off(problem, amplitude):
     before = value - field * moved(amplitude @ problem.functions.T)
     assert np.mean(np.abs(residual) ** 2) < 1.3
     assert np.mean(np.abs(before) ** 2) > 3
+
+
+def test_light_off_the_middle_of_its_block_does_not_look_like_light_that_changes(
+    problem, amplitude
+):
+    rng, walk = np.random.default_rng(3), 2e-4
+    blocks = len(problem.functions)
+    positions = 0.5 * complex_normal(rng, blocks, 2)
+    change = np.cumsum(complex_normal(rng, HOLOGRAMS, blocks), axis=0)
+    light = 100 * complex_normal(rng, blocks)
+    field = (light * (1 + np.sqrt(walk) * change)).astype(np.complex64)
+    terms, moving = slope_terms(problem, amplitude), moved(amplitude @ problem.functions.T)
+    shown = moving + mean_bend(problem, amplitude) + np.einsum("ikn,ni->kn", terms, positions)
+    value = field * shown + complex_normal(rng, HOLOGRAMS, blocks)
+    seen = replace(problem, real=value.real, imaginary=value.imag)
+    normal = SimpleNamespace(misfit=seen.seen)
+    step = SimpleNamespace(linear=SimpleNamespace(normal=normal))
+
+    def found(positions):
+        at = Solution(amplitude, np.zeros(HOLOGRAMS), field, positions=positions)
+        change = _change_of(seen, at, step)
+        return change.walk + change.scatter
+
+    assert found(positions) == pytest.approx(walk, rel=0.3)
+    assert found(None) > 3 * walk
 
 
 def test_without_slopes_nothing_is_taken_off(problem, amplitude):

@@ -168,17 +168,19 @@ def walk_columns(steps: Array) -> Array:
 def field_changing(
     times_s: Sequence[tuple[Array, Array]], sweeps: Sequence[SweepReading]
 ) -> GroupNuisances:
-    """Return what light changes by along and between sweeps, for numbers of two of them.
+    """Return what light changes by along and between two sweeps, for numbers that compare them.
 
     Parameters
     ----------
     times_s : sequence of ((k,) float, (k,) float)
-        Times of the holograms of each number.
+        Times of the holograms of each number in either sweep.
     sweeps : sequence of SweepReading
     """
-    ends = np.array([np.concatenate(pair).mean() for pair in times_s])
-    acquired_s = np.sort(np.concatenate([sweep.time_s for sweep in sweeps]))
-    walk = FIELD_CHANGE * walk_columns(np.searchsorted(acquired_s, ends).astype(float))
+    ends = np.array([[np.mean(each) for each in pair] for pair in times_s])
+    acquired_s = np.concatenate([sweep.time_s for sweep in sweeps])
+    columns = _walk(ends.T.ravel(), acquired_s)
+    # From the light at one time to that at the other.
+    walk = columns[: len(ends)] - columns[len(ends) :]
     between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(times_s), 1))
     return GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
 

@@ -29,8 +29,10 @@ TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation", "decoy")
 _HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.
 _NEAR = 0.2
-# Usual discrepancy of the modes, usual number of holograms that do not fit, fewest modes.
-_USUAL, _FEW_OFF, _FEWEST_MODES = 6e-3, 2, 7
+# Fewest modes of a sweep, and share of its holograms that may be in another fringe: chosen.
+_FEWEST_MODES, _WRONG = 7, 0.05
+# A displacement in another fringe is off by a fifth at least (`fitting.holograms.retries`).
+_FRINGE_APART = 0.2
 # Bends of a drive, nepers, and how much it usually has of them, per hologram.
 _BEND, _SMOOTH = 0.01, 0.45
 # Share of the work that the search is.
@@ -140,7 +142,7 @@ def read_sweeps(
     progress: Callable[[float], None] | None = None,
     unshifted: Mapping[str, UnshiftedLight] | None = None,
 ) -> tuple[list[SweepReading], list[str]]:
-    """Fit all sweeps: one by itself, the others each from the one before.
+    """Fit all sweeps: one by itself, and the others from it.
 
     Parameters
     ----------
@@ -164,15 +166,13 @@ def read_sweeps(
     calm = sorted(parts, key=lambda part: (part.clamping != first, _run_loudness(part.run)))
     # A loud sweep shows more, but its fringes may fold; one that is calmer, or of another speckle,
     # then shows the way.
-    last = _root(fits, list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]])))
+    tried = list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]]))
+    root, doubt = _root(fits, tried)
     report(_SEARCH)
-    # What a fit begins with settles as it is handed on.
-    turns = list(dict.fromkeys([calm[0], loud[0], *loud]))
-    turns += [loud[0]] + [part for part in turns[:1] if part is last]
-    for number, part in enumerate(turns):
-        if part is not last and fits.keep(part, fits.of(part, last)):
-            last = part
-        report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
+    if root is None or doubt:
+        _handed_on(fits, [*dict.fromkeys([calm[0], loud[0], *loud]), loud[0]], root, report)
+    else:
+        _each_from(fits, [part for part in loud if part is not root], root, report)
     fitted = [part for part in parts if part.name in fits.found]
     readings = map_processes(
         lambda part: _reading(part, fits.settled(part), _taken_off(lights.get(part.name))), fitted
@@ -226,8 +226,11 @@ class _Fits:
         return fit
 
 
-def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
-    """Fit sweeps by themselves until one is not in doubt; return the one least in doubt, if any."""
+def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> tuple[CampaignRun | None, int]:
+    """Fit sweeps by themselves until one is not in doubt; return the one least in doubt, if any.
+
+    With it comes how far to doubt it, see `_doubt`.
+    """
     doubt: dict[str, tuple[int, float]] = {}
     # Most often the first will do.
     with contextlib.closing(map_processes(fits.of, parts[1:])) as others:
@@ -237,7 +240,45 @@ def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> CampaignRun | None:
                 if not doubt[part.name][0]:
                     break
     told = [part for part in parts if part.name in doubt]
-    return min(told, key=lambda part: doubt[part.name], default=None)
+    least = min(told, key=lambda part: doubt[part.name], default=None)
+    return least, 0 if least is None else doubt[least.name][0]
+
+
+def _each_from(
+    fits: _Fits, parts: Sequence[CampaignRun], root: CampaignRun, report: Callable[[float], None]
+) -> None:
+    """Fit sweeps each from one that is not in doubt.
+
+    Handed on from sweep to sweep, what a calm one does not show would be lost.
+    """
+    found = map_processes(lambda part: fits.of(part, root), parts)
+    for number, (part, fit) in enumerate(zip(parts, found, strict=True), 1):
+        fits.keep(part, fit)
+        report(_SEARCH + (1 - _SEARCH) * number / len(parts))
+
+
+def _handed_on(
+    fits: _Fits,
+    parts: Sequence[CampaignRun],
+    last: CampaignRun | None,
+    report: Callable[[float], None],
+) -> None:
+    """Fit sweeps each from the one before: what a fit in doubt begins with settles on the way.
+
+    Parameters
+    ----------
+    fits : _Fits
+    parts : sequence of CampaignRun
+        The calmest, then from the loudest on, and the loudest again.
+    last : CampaignRun or None
+        The first that is handed on.
+    report : callable
+    """
+    turns = [*parts, *(part for part in parts[:1] if part is last)]
+    for number, part in enumerate(turns):
+        if part is not last and fits.keep(part, fits.of(part, last)):
+            last = part
+        report(_SEARCH + (1 - _SEARCH) * (number + 1) / len(turns))
 
 
 def _taken_off(light: UnshiftedLight | None) -> float:
@@ -251,16 +292,19 @@ def _bends(fit: JointFit) -> float:
 
 
 def _doubt(fit: JointFit) -> tuple[int, float]:
-    """How far to doubt a fit: not if modes explain holograms as well as usual; and its bends.
+    """How far to doubt a fit: not if few holograms can be in another fringe; and its bends.
 
-    With few identified modes, vibrations of any size would fit.
+    What modes leave of displacements has the size that other fringes of a share of all holograms
+    would give. With few identified modes, vibrations of any size would fit.
     """
-    bends = _bends(fit)
-    few_off = np.count_nonzero(fit.modal.off) <= _FEW_OFF
-    smooth = bends < _SMOOTH * len(fit.block_amplitudes.volts)
+    bends, holograms = _bends(fit), len(fit.block_amplitudes.volts)
+    smooth = bends < _SMOOTH * holograms
+    few_off = np.count_nonzero(fit.modal.off) < _WRONG * holograms
+    # Real and imaginary parts have the discrepancy each.
+    near = fit.modal.discrepancy < _FRINGE_APART * np.sqrt(_WRONG / 2)
     if len(fit.resonances) < _FEWEST_MODES:
         return 2, bends
-    return int(not (smooth or (fit.modal.discrepancy < _USUAL and few_off))), bends
+    return int(not (smooth or (near and few_off))), bends
 
 
 def at_highest_level(sweeps: Sequence[SweepReading]) -> list[SweepReading]:

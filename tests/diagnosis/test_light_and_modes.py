@@ -7,7 +7,12 @@ import pytest
 
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _torn
-from diagnosis.observables.light import brightness_group, noise_group
+from diagnosis.observables.light import (
+    FIELD_CHANGE,
+    brightness_group,
+    field_changing,
+    noise_group,
+)
 from diagnosis.observables.modes import _of_leaks
 from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
 from physics.parameters.sensor import Sensor
@@ -44,6 +49,23 @@ def test_pixels_that_differ_spread_fringes_by_the_square_of_what_they_differ_by(
         < 1e-2
     )
     assert np.ptp(block.predict(BenchParameters())) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_light_that_walks_differs_between_two_sweeps_by_what_it_walked_in_between() -> None:
+    # Two sweeps of ten acquisitions: one upwards, one downwards a minute later.
+    one, two = np.arange(10.0), 60.0 + np.arange(10.0)
+    sweeps = [SimpleNamespace(time_s=one), SimpleNamespace(time_s=two)]
+    times_s = [(one[[k]], two[[9 - k]]) for k in range(10)]
+    columns = field_changing(times_s, sweeps).columns
+    found = columns @ columns.T / FIELD_CHANGE**2
+    steps = np.arange(20.0)
+    walk = np.minimum.outer(steps, steps)
+    apart = np.zeros((10, 20))
+    apart[np.arange(10), np.arange(10)], apart[np.arange(10), 19 - np.arange(10)] = 1, -1
+    # In addition, all of one sweep may differ from the other.
+    assert found == pytest.approx(apart @ walk @ apart.T + len(steps) / 2, abs=1e-9)
+    # What is 19 acquisitions apart differs by more than neighbours do.
+    assert found[0, 0] - found[9, 9] == pytest.approx(18.0)
 
 
 def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None:
@@ -140,13 +162,16 @@ def test_fits_of_few_modes_are_doubted_most() -> None:
             block_amplitudes=SimpleNamespace(volts=np.ones(COUNT)),
         )
 
+    # Five of a hundred displacements that are off by a fifth leave 0.2 √(0.05/2) = 0.032.
     good, smooth, torn, empty = (
-        _doubt(fit(12, 3e-3, bent=0.1)), _doubt(fit(12, 0.03)), _doubt(fit(12, 0.03, bent=0.1)),
+        _doubt(fit(12, 0.03, bent=0.1)), _doubt(fit(12, 0.04)), _doubt(fit(12, 0.04, bent=0.1)),
         _doubt(fit(4, 1e-4)),
     )  # fmt: skip
     assert (good[0], smooth[0], torn[0], empty[0]) == (0, 0, 1, 2)
     assert max(good, smooth, torn) < empty
-    assert _doubt(fit(12, 3e-3, off=3, bent=0.1))[0] == 1
+    few, many = (int(share * COUNT) for share in (0.04, 0.06))
+    assert _doubt(fit(12, 3e-3, off=few, bent=0.1))[0] == 0
+    assert _doubt(fit(12, 3e-3, off=many, bent=0.1))[0] == 1
 
 
 def test_levels_count_once_whatever_a_few_lost_steps_do_to_their_mean() -> None:

@@ -58,7 +58,19 @@ def fitted(monkeypatch):
     assert not multiprocessing.active_children()
 
 
-def test_the_loudest_is_fitted_by_itself_and_handed_on(fitted) -> None:
+def test_all_others_are_fitted_from_the_loudest(fitted, monkeypatch) -> None:
+    # In this process, which sees what is called.
+    monkeypatch.setattr(
+        sweep_readings, "map_processes", lambda work, items: (work(item) for item in items)
+    )
+    read, refused = sweep_readings.read_sweeps(PARTS)
+    assert read == [(name, "up") for name in VOLTS]
+    assert not refused
+    assert fitted.again == [("up", "down"), ("up", "quiet"), ("up", "again")]
+
+
+def test_one_in_doubt_is_handed_on_from_the_calmest_to_the_loudest(fitted) -> None:
+    fitted.doubt = dict.fromkeys(VOLTS, (1, 1.0)) | {"up": (1, 0.0)}
     read, refused = sweep_readings.read_sweeps(PARTS)
     assert read == [(name, "up") for name in VOLTS]
     assert not refused

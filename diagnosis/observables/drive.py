@@ -162,22 +162,23 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array, Ar
     new = np.diff(np.log(every), prepend=-np.inf) > _SAME_HZ
     hz, place = every[new], np.cumsum(new) - 1
     table = np.full((len(sweeps), len(hz)), np.nan)
-    pairs, both = np.zeros((len(hz), len(hz))), np.zeros((len(hz), len(hz)))
+    pairs = np.zeros((len(hz), len(hz)))
     for row, sweep in zip(table, sweeps, strict=True):
         good = np.flatnonzero(~sweep.off)
         at = place[np.searchsorted(every, sweep.drive_hz[good])]
         row[at] = sweep.log_drive[good]
         pairs[np.ix_(at, at)] += sweep.log_drive_covariance[np.ix_(good, good)]
-        both[np.ix_(at, at)] += 1
-    seen = (np.sum(np.isfinite(table), axis=0) >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
-    hz, table = hz[seen], table[:, seen]
-    fitted = (pairs / np.maximum(both, 1))[np.ix_(seen, seen)]
+    count = np.sum(np.isfinite(table), axis=0)
+    seen = (count >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
+    hz, table, count = hz[seen], table[:, seen], count[seen]
+    # The mean over sweeps of each covariance, also where they have not the same frequencies: a sum
+    # of covariances, which a mean over those that have both frequencies need not be.
+    fitted = pairs[np.ix_(seen, seen)] / np.sqrt(np.multiply.outer(count, count))
     if not hz.size:
         return hz, hz, hz, fitted
     middle = np.nanmedian(table, axis=0)
     apart = np.where(np.isfinite(table), table - middle, 0.0)
     apart = apart - median_filter(apart, size=(1, _AROUND), mode="nearest")
-    count = np.sum(np.isfinite(table), axis=0)
     mean = middle + np.sum(apart, axis=0) / count
     error = np.sqrt(np.sum(apart**2, axis=0) / np.maximum(count - 1, 1))
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))

@@ -252,6 +252,19 @@ def test_a_hologram_that_is_off_in_one_sweep_has_the_error_of_the_others() -> No
     assert np.diag(fitted)[[89, 90]] == pytest.approx([0.5, 0.25])
 
 
+def test_errors_of_the_drive_are_a_covariance_whatever_is_off() -> None:
+    """Sweeps err in common at all frequencies; the surest one lacks every second hologram."""
+    common = np.ones((160, 160))
+    sweeps = [
+        sweep(log_drive_covariance=4 * common),
+        sweep("down", log_drive_covariance=4 * common),
+        sweep("again", log_drive_covariance=0.01 * common, off=np.arange(160) % 2 == 0),
+    ]
+    _, _, _, fitted = _mean_drive(sweeps)
+    assert np.diag(fitted)[[0, 1]] == pytest.approx([4.0, 8.01 / 3])
+    assert np.linalg.eigvalsh(fitted).min() > -1e-9
+
+
 def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_through(
     monkeypatch,
 ) -> None:

@@ -286,7 +286,10 @@ class _Splitting:
 
     def _step(self, bend: Array, off: Array) -> Array:
         unlike = np.eye(len(off)) + bend[:, None] * self.covariance
-        return np.asarray(linalg.solve(unlike, off, check_finite=False))
+        # Where the cost bends downwards this may be next to singular: nothing to warn of, because
+        # such a step costs more and is not taken.
+        step: Array = np.linalg.solve(unlike, off)
+        return step
 
 
 def found_gain(magnitude: Array, covariance: Array, near: Array, gain: float, dof: float) -> float:

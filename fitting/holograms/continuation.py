@@ -73,6 +73,11 @@ def _size(a: ComplexArray) -> Array:
     return size
 
 
+def _whole_size(a: ComplexArray, weight: Array) -> float:
+    """Return the size of all amplitudes (s, j) by weights (s,); never 0."""
+    return float(np.sqrt(np.sum(weight * np.sum(np.abs(a) ** 2, axis=1))) + 1e-12)
+
+
 @dataclass(frozen=True)
 class _Guess:
     """Assumption that a hologram shows one mode with a given largest deflection."""
@@ -256,7 +261,7 @@ class Continuation:
         for threshold, reach in _THRESHOLDS:
             good = np.maximum(self._enough, threshold)
             self._solved |= self.misfit < good
-            self._update_object_field()
+            self.update_object_field()
             lit, object_field = int(self._solved.sum()), object_field + 1
             while frontier := [pair for pair in self._frontier(reach) if to_be_tried(pair)]:
                 for step, source in frontier:
@@ -266,7 +271,7 @@ class Continuation:
                     self._solve(step, source)
                     self._solved[step] = self.misfit[step] < good[step]
                     if self._solved.sum() > _MORE_SOLVED * lit + 2:
-                        self._update_object_field(1)
+                        self.update_object_field(1)
                         lit, object_field = int(self._solved.sum()), object_field + 1
 
     def _solve_small_amplitudes(self) -> bool:
@@ -297,7 +302,7 @@ class Continuation:
             if 0 <= step <= last and not self._solved[step]
         ]
 
-    def _update_object_field(self, turns: int = 2) -> None:
+    def update_object_field(self, turns: int = 2) -> None:
         """Fit the object field to the solved holograms, then these to the object field."""
         solved = np.flatnonzero(self._solved)
         if not solved.size:
@@ -315,10 +320,13 @@ class Continuation:
                 self._prior(solved, _size(start[0])),
             )
             self.misfit[solved] = left / self._most.blocks
-            # The mean gain belongs to the object field.
+            # The mean gain belongs to the object field. So does what the prior, which is one of
+            # shapes, takes from the size of displacements: it would take more in every turn.
             common = float(np.mean(self.gain[solved]))
             self.gain[solved] -= common
-            self.object_field = self.object_field * np.float32(np.exp(common))
+            kept = _whole_size(self.amplitude[solved], weight) / _whole_size(start[0], weight)
+            self.amplitude[solved] /= kept
+            self.object_field = self.object_field * np.float32(np.exp(common) * kept)
 
     def _solve(self, step: int, source: int) -> None:
         """Try to solve one hologram from the amplitudes of a neighbour."""
@@ -342,7 +350,8 @@ class Continuation:
         if not (0 <= before < len(self._solved) and self._solved[before]):
             return None
         size, former = _size(self.amplitude[[source, before]])
-        a = self.amplitude[source] * np.clip(size / former, 1 / _STEEPEST, _STEEPEST)
+        # Near a resonance the reciprocal of a displacement is a linear function of frequency.
+        a = self.amplitude[source] / np.clip(2 - size / former, 1 / _STEEPEST, _STEEPEST)
         object_field = self.object_field[::_GRID_STRIDE]
         (turned,) = self._few.turned(object_field, np.array([step]), a[None])
         return np.asarray(turned)
@@ -376,16 +385,28 @@ class Continuation:
             steps, object_field = np.full(len(a), step), self.object_field[::stride]
             prior = self._prior(steps, _size(a))
             a, gain, left = fit_amplitudes(problem, object_field, steps, (a, gain), turns, prior)
-            best = np.argsort(left)[:2]
-            a, gain = a[best], gain[best]
-            found = left[best] / problem.blocks
+            found = left / problem.blocks
+            whole = found + self.oddness(step, a, problem.blocks)
+            best = np.argsort(whole)[:2]
+            a, gain, found, whole = a[best], gain[best], found[best], whole[best]
         first = 0
-        if near is not None and len(a) > 1 and found[1] < SAME_FRINGE_RATIO * max(found[0], 1):
+        if near is not None and len(a) > 1 and whole[1] < SAME_FRINGE_RATIO * max(whole[0], 1):
             first = int(np.argmin(np.linalg.norm(a - near, axis=1)))
-        if found[first] < self.misfit[step]:
+        before = self.oddness(step, self.amplitude[step][None], problem.blocks)[0]
+        if whole[first] < self.misfit[step] + before:
             self.amplitude[step], self.gain[step], self.misfit[step] = (
                 a[first], gain[first], found[first]
             )  # fmt: skip
+
+    def oddness(self, step: int, a: ComplexArray, blocks: int) -> Array:
+        """Return what the prior of a hologram costs amplitudes (s, j), whatever their size.
+
+        The sum of a few shapes without fringes may look like a mode with fringes, and explain a
+        dim hologram as well. What moves at this frequency tells them apart.
+        """
+        prior = self._prior(np.full(len(a), step), _size(a))
+        odd: Array = 0.5 * np.einsum("si,sij,sj->s", a.conj(), prior, a, optimize=True).real
+        return odd / blocks
 
     def _starts(self, step: int, neighbour: ComplexArray) -> list[ComplexArray]:
         """Return the likeliest changes of a neighbour's amplitudes: of one shape, or of all."""

@@ -811,6 +811,46 @@ def test_a_trend_goes_on_as_it_did_before_with_the_phase_of_the_hologram(plateau
     assert grown == pytest.approx(1.7)
 
 
+def test_a_trend_grows_towards_a_resonance_as_it_does_near_a_pole(lit):
+    """Half a width, then a width nearer to the pole: 1/8, 1/6, so 1/4 comes next."""
+    lit.amplitude[[57, 58], 0] = 8 / 8, 8 / 6
+    lit.solved[[57, 58]] = True
+    assert np.linalg.norm(lit.trend(59, 58)) == pytest.approx(8 / 4)
+
+
+def test_the_prior_of_shapes_does_not_shrink_displacements_turn_by_turn(plateau, lit):
+    """Without fringes, brighter light with smaller displacements explains a sweep as well."""
+    calm = np.arange(8)
+    weak = 0.05 * plateau.true_rad[calm]
+    u = weak @ plateau.basis.functions.T.astype(float)
+    value = plateau.block_amplitudes.value.copy()
+    noise = complex_normal(np.random.default_rng(6), *u.shape)
+    value[:, calm] = (plateau.object_field * moved(u) + noise).T
+    dim = with_value(plateau, value)
+    whole = Problem.of(dim.block_amplitudes.value, dim.basis.functions, BesselTable())
+    search = Continuation(whole, dim.block_amplitudes, dim.basis)
+    search.begin([0], [])
+    search.object_field = plateau.object_field.astype(np.complex64)
+    search.amplitude[calm], search.misfit[calm] = weak, 1.0
+    search.solved[calm] = True
+    search.update_object_field(turns=20)
+    before, after = (np.linalg.norm(each) for each in (weak, search.amplitude[calm]))
+    assert after == pytest.approx(before, rel=0.02)
+
+
+def test_a_hologram_does_not_take_shapes_of_other_frequencies_for_a_fringe(plateau, lit):
+    """What the prior costs decides between solutions that explain a hologram as well."""
+    step = 30
+    true = plateau.true_rad[step]
+    near = np.argmin(np.abs(np.log(MODE_HZ / DRIVE_HZ[step])))
+    far = plateau.basis.shapes[np.argmax(np.abs(np.log(MODE_HZ / DRIVE_HZ[step])))]
+    own, odd = (lit.oddness(step, each[None], POINTS)[0] for each in (true, far + 0j))
+    assert plateau.basis.shapes[near] @ true.conj() != 0
+    assert odd > 10 * own
+    # The same for any size.
+    assert lit.oddness(step, 3 * far[None] + 0j, POINTS)[0] == pytest.approx(odd)
+
+
 # --- Invariance --------------------------------------------------------------------------------
 
 

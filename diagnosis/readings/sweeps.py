@@ -14,6 +14,7 @@ from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import UnshiftedLight
 from fitting.holograms.displacement import explained_amplitudes
+from fitting.holograms.retries import SAME_FRINGE
 from fitting.modal.identify import JointFit, fit_jointly, series_of
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.refit import fit_same_reed, fit_without_unshifted
@@ -31,8 +32,6 @@ _HIGHEST_HZ = 17e3
 _NEAR = 0.2
 # Fewest modes of a sweep, and share of its holograms that may be in another fringe: chosen.
 _FEWEST_MODES, _WRONG = 7, 0.05
-# A displacement in another fringe is off by a fifth at least (`fitting.holograms.retries`).
-_FRINGE_APART = 0.2
 # Bends of a drive, nepers, and how much it usually has of them, per hologram.
 _BEND, _SMOOTH = 0.01, 0.45
 # Share of the work that the search is.
@@ -239,8 +238,8 @@ def _root(fits: _Fits, parts: Sequence[CampaignRun]) -> tuple[CampaignRun | None
                 doubt[part.name] = _doubt(fits.found[part.name])
                 if not doubt[part.name][0]:
                     break
-    told = [part for part in parts if part.name in doubt]
-    least = min(told, key=lambda part: doubt[part.name], default=None)
+    fitted = [part for part in parts if part.name in doubt]
+    least = min(fitted, key=lambda part: doubt[part.name], default=None)
     return least, 0 if least is None else doubt[least.name][0]
 
 
@@ -300,8 +299,9 @@ def _doubt(fit: JointFit) -> tuple[int, float]:
     bends, holograms = _bends(fit), len(fit.block_amplitudes.volts)
     smooth = bends < _SMOOTH * holograms
     few_off = np.count_nonzero(fit.modal.off) < _WRONG * holograms
-    # Real and imaginary parts have the discrepancy each.
-    near = fit.modal.discrepancy < _FRINGE_APART * np.sqrt(_WRONG / 2)
+    # Real and imaginary parts have the discrepancy each, and what is in another fringe is off by
+    # more than what is in the same.
+    near = fit.modal.discrepancy < SAME_FRINGE * np.sqrt(_WRONG / 2)
     if len(fit.resonances) < _FEWEST_MODES:
         return 2, bends
     return int(not (smooth or (near and few_off))), bends

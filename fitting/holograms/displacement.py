@@ -352,8 +352,7 @@ def refit_displacements(
     changes = (before.common_mode.response @ common_mode_shift[..., None])[..., 0]
     size = before.amplitude_rad.shape[1]
     a = before.amplitude_rad + changes[:, :size] + 1j * changes[:, size:]
-    light = object_field, before.field_variance, before.positions
-    at = Solution(a, before.gain, *light)
+    at = replace(before.solution, amplitude=a, object_field=object_field)
     solved = np.isfinite(before.misfit)
     bad = np.flatnonzero(off | ~solved)
     if len(bad) < len(solved):

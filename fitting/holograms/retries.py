@@ -48,7 +48,7 @@ _SCANNED, _STARTS = np.geomspace(0.2, 5.0, 41), 3
 # Displacements that differ by less than this part are in the same fringe: the factor that light and
 # displacements share is a tenth (decision 0028), and the next fringe is π rad away, a third of the
 # largest displacements with which a sweep is begun (10 rad).
-_SAME_FRINGE = 0.2
+SAME_FRINGE = 0.2
 # ... by which two starts may differ: each may be off by that tenth, in opposite directions. Chosen:
 # halfway from there to the next fringe.
 _SAME_START = 0.26
@@ -135,7 +135,7 @@ def field_of_others(
 
 
 def same_fringe(
-    one: ComplexArray, other: ComplexArray, most: float = _SAME_FRINGE
+    one: ComplexArray, other: ComplexArray, most: float = SAME_FRINGE
 ) -> NDArray[np.bool_]:
     """Whether amplitudes (..., j) differ by a phase, and else at most by this part."""
     square, other_square = (np.sum(np.abs(each) ** 2, axis=-1) for each in (one, other))

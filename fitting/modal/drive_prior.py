@@ -272,11 +272,11 @@ class _Splitting:
     def _better(self, at: _Split, off: Array, variance: Array) -> _Split | None:
         """Take a step; None if the rest is rounding."""
         bend = (2 * self.dof * self.gain**2 / ((self.dof + 1) * variance) - 1) / variance
-        tried = self.at(at.weighted - self._step(bend, off))
+        tried = self.at(at.weighted - self.step(bend, off))
         if tried.cost < at.cost:
             return tried
         # Where the cost of a scatter bends downwards, its bend is left out: this leads down.
-        step, length = self._step(np.maximum(bend, 0), off), 1.0
+        step, length = self.step(np.maximum(bend, 0), off), 1.0
         while length > _SHORTEST:
             tried = self.at(at.weighted - length * step)
             if tried.cost < at.cost:
@@ -284,7 +284,8 @@ class _Splitting:
             length /= 2
         return None
 
-    def _step(self, bend: Array, off: Array) -> Array:
+    def step(self, bend: Array, off: Array) -> Array:
+        """Return the Newton step (k,) of a weighted smooth part for bends and gradients (k,)."""
         unlike = np.eye(len(off)) + bend[:, None] * self.covariance
         # Where the cost bends downwards this may be next to singular: nothing to warn of, because
         # such a step costs more and is not taken.

@@ -155,7 +155,6 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
         field_variance=None,
         change=None,
         reached=np.zeros(count, dtype=bool),
-        positions=old.positions,
     )
 
 

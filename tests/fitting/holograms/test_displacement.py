@@ -818,7 +818,7 @@ def test_a_trend_grows_towards_a_resonance_as_it_does_near_a_pole(lit):
     assert np.linalg.norm(lit.trend(59, 58)) == pytest.approx(8 / 4)
 
 
-def test_the_prior_of_shapes_does_not_shrink_displacements_turn_by_turn(plateau, lit):
+def test_the_prior_of_shapes_does_not_shrink_displacements_turn_by_turn(plateau):
     """Without fringes, brighter light with smaller displacements explains a sweep as well."""
     calm = np.arange(8)
     weak = 0.05 * plateau.true_rad[calm]
@@ -842,13 +842,38 @@ def test_a_hologram_does_not_take_shapes_of_other_frequencies_for_a_fringe(plate
     """What the prior costs decides between solutions that explain a hologram as well."""
     step = 30
     true = plateau.true_rad[step]
-    near = np.argmin(np.abs(np.log(MODE_HZ / DRIVE_HZ[step])))
     far = plateau.basis.shapes[np.argmax(np.abs(np.log(MODE_HZ / DRIVE_HZ[step])))]
     own, odd = (lit.oddness(step, each[None], POINTS)[0] for each in (true, far + 0j))
-    assert plateau.basis.shapes[near] @ true.conj() != 0
     assert odd > 10 * own
     # The same for any size.
     assert lit.oddness(step, 3 * far[None] + 0j, POINTS)[0] == pytest.approx(odd)
+
+
+def test_the_prior_decides_where_an_odd_shape_explains_a_hologram_a_little_better(
+    plateau, lit, monkeypatch
+):
+    step = 30
+    true = plateau.true_rad[step]
+    far = plateau.basis.shapes[np.argmax(np.abs(np.log(MODE_HZ / DRIVE_HZ[step])))] + 0j
+    # Less than what the prior takes.
+    least = lit.oddness(step, far[None], POINTS) - lit.oddness(step, true[None], POINTS)
+    costs = {"far": POINTS * (2.0 - 0.5 * least[0]), "true": POINTS * 2.0}
+
+    def fitted(_problem, _field, _steps, start, *_):
+        a, gain = start
+        odd = np.isclose(a[:, None] @ far.conj(), np.linalg.norm(far) ** 2)[:, 0]
+        return a, gain, np.where(odd, costs["far"], costs["true"])
+
+    monkeypatch.setattr("fitting.holograms.continuation.fit_amplitudes", fitted)
+    for starts in ([far, true], [far], [true]):
+        # What was found before gives way, or does not, by the same costs.
+        lit.attempt(step, np.array(starts), ((lit.whole, 1, 1),))
+        assert np.allclose(lit.amplitude[step], true)
+    lit.misfit[step] = np.inf
+    lit.attempt(step, far[None], ((lit.whole, 1, 1),))
+    assert np.allclose(lit.amplitude[step], far)
+    lit.attempt(step, true[None], ((lit.whole, 1, 1),))
+    assert np.allclose(lit.amplitude[step], true)
 
 
 # --- Invariance --------------------------------------------------------------------------------

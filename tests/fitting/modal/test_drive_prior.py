@@ -12,6 +12,7 @@ from fitting.modal.drive_prior import (
     DrivePrior,
     KnownMagnitude,
     _size_equations,
+    _Splitting,
     drive_prior,
     found_gain,
     found_ripple,
@@ -72,6 +73,13 @@ def test_a_magnitude_is_split_where_it_costs_least(gain, outliers):
         slope = (costs[0] - costs[1]) / 4
         size = np.linalg.norm(prior.gradient) * np.linalg.norm(step)
         assert slope == pytest.approx(-prior.gradient @ step, abs=1e-3 * size)
+
+
+def test_a_step_next_to_a_singular_matrix_is_a_step_without_a_warning():
+    """Where the cost bends downwards: here 1 + Σ bend is 0 but for rounding."""
+    splitting = _Splitting(np.ones(2), np.ones((2, 2)), LEAST_GAIN, DOF)
+    step = splitting.step(np.array([-0.5, -0.5 * (1 - 1e-16)]), np.array([1.0, 2.0]))
+    assert np.isfinite(step).all()
 
 
 def test_the_scatter_of_holograms_is_found_around_a_smooth_drive():

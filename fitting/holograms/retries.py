@@ -10,7 +10,7 @@ shows what is right (decision 0035).
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -355,31 +355,60 @@ def _group_in_other_fringes(
     """Move a group of holograms into other fringes together; None if none is explained better.
 
     In light that a whole group has bent, each of its holograms alone is explained best in its wrong
-    fringe. Only their gains show it, and only with all of them in the right fringes is the light
-    right, too.
+    fringe. Only their gains show it, or a break between them and their neighbours, and only with
+    all of them in the right fringes is the light right, too.
     """
     problem = sweep.problem
-    wrong = with_wrong_gain(at.gain, problem.gain_nepers)
     weight = 1 / np.maximum(step.linear.normal.misfit / problem.seen, 1)
     costs = float(np.sum(cost(problem, at)))
+    for group, along in _suspects(problem, at):
+        there = followed(problem, at, group, along)
+        if there is not None:
+            there = with_field(middle(problem, there), there, weight, sweep.change)
+            there, theirs = settled(sweep, there, min(most_turns, _GROUP_TURNS))
+            if costs - float(np.sum(cost(problem, there))) > _LEAST_GAIN:
+                return there, theirs
+    return None
+
+
+def _suspects(problem: Problem, at: Solution) -> Iterator[tuple[IndexArray, int]]:
+    """Yield groups of holograms that may be in wrong fringes, with where to follow them: ±1."""
+    wrong = with_wrong_gain(at.gain, problem.gain_nepers)
     # Neighbours, but for one between them at most, belong together.
     for group in np.split(wrong, np.flatnonzero(np.diff(wrong) > 2) + 1):
-        for along in (-1, 1):
-            there = followed(problem, at, group, along) if group.size else None
-            if there is not None:
-                there = with_field(middle(problem, there), there, weight, sweep.change)
-                there, theirs = settled(sweep, there, min(most_turns, _GROUP_TURNS))
-                if costs - float(np.sum(cost(problem, there))) > _LEAST_GAIN:
-                    return there, theirs
-    return None
+        if group.size:
+            yield from ((group, -1), (group, 1))
+    # Which side of a break is right, and how far the other one goes, is not known.
+    for first in breaks(problem, at.amplitude):
+        yield from ((np.array([first + 1]), 1), (np.array([first]), -1))
+
+
+def breaks(problem: Problem, a: ComplexArray) -> IndexArray:
+    """Return the holograms with fringes whose next one continues them in another fringe.
+
+    From one hologram to the next, few modes change: amplitudes (k, j) nearly are combinations of
+    any two neighbours. In a break, those on either side are no continuation of the other side.
+    """
+    onwards, backwards = _beyond(a[:-2], a[1:-1], a[2:]), _beyond(a[2:], a[1:-1], a[:-2])
+    broken = np.minimum(onwards[:-1], backwards[1:]) > SAME_FRINGE
+    fringes = with_fringes(problem, a)
+    return np.flatnonzero(broken & (fringes[1:-2] | fringes[2:-1])) + 1
+
+
+def _beyond(former: ComplexArray, before: ComplexArray, a: ComplexArray) -> Array:
+    """Return the part (k,) of amplitudes (k, j) that is no combination of two others (k, j)."""
+    axes, _ = np.linalg.qr(np.stack([former, before], axis=-1))
+    left = a - (axes @ (axes.conj().swapaxes(-1, -2) @ a[..., None]))[..., 0]
+    part: Array = np.linalg.norm(left, axis=-1) / np.maximum(np.linalg.norm(a, axis=-1), 1e-6)
+    return part
 
 
 def followed(problem: Problem, at: Solution, group: IndexArray, along: int) -> Solution | None:
     """Follow displacements from outside a group through it; None if they stay in their fringes.
 
     Near a resonance the reciprocal of a displacement is a linear function of frequency: two
-    holograms predict the next one. The solution nearest to the prediction is taken, whether or not
-    another one explains the hologram better. It ends behind the group, where it meets the solution
+    holograms predict the size of the next one, whose shape is a combination of theirs. The solution
+    nearest to the prediction is taken, whether or not another one explains the hologram better. It ends behind the group, where it meets the solution
     that is there.
 
     Parameters
@@ -413,14 +442,15 @@ def _nearest(
     problem: Problem, at: Solution, number: int, along: int
 ) -> tuple[ComplexArray, float] | None:
     """Return amplitudes (j,) and log gain of a hologram near what two before it predict."""
-    before, former = (at.amplitude[number - back * along] for back in (1, 2))
-    size, earlier = (max(float(np.linalg.norm(each)), 1e-6) for each in (before, former))
+    before, former = pair = [at.amplitude[number - back * along] for back in (1, 2)]
+    size, earlier = (max(float(np.linalg.norm(each)), 1e-6) for each in pair)
     expected = 1 / np.clip(2 / size - 1 / earlier, 1 / (_STEEPEST * size), _STEEPEST / size)
     sizes = np.concatenate([np.array(_SIZES) * expected / size, [1.0]])
     starts = np.concatenate([sizes[:, None] * before, at.amplitude[number][None]])
     steps = np.full(len(starts), number)
     found, louder, left = _solved(problem.some(steps), at, steps, starts)
-    apart = np.abs(np.log(np.maximum(np.linalg.norm(found, axis=1), 1e-6) / expected))
+    larger = np.log(np.maximum(np.linalg.norm(found, axis=1), 1e-6) / expected)
+    apart = np.hypot(larger, _beyond(*(np.broadcast_to(each, found.shape) for each in pair[::-1]), found))
     apart[~(left <= FAR * problem.seen[number])] = np.inf
     best = int(np.argmin(apart))
     return (found[best], float(louder[best])) if np.isfinite(apart[best]) else None

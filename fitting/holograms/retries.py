@@ -408,8 +408,8 @@ def followed(problem: Problem, at: Solution, group: IndexArray, along: int) -> S
 
     Near a resonance the reciprocal of a displacement is a linear function of frequency: two
     holograms predict the size of the next one, whose shape is a combination of theirs. The solution
-    nearest to the prediction is taken, whether or not another one explains the hologram better. It ends behind the group, where it meets the solution
-    that is there.
+    nearest to the prediction is taken, whether or not another one explains the hologram better. It
+    ends behind the group, where it meets the solution that is there.
 
     Parameters
     ----------
@@ -442,15 +442,16 @@ def _nearest(
     problem: Problem, at: Solution, number: int, along: int
 ) -> tuple[ComplexArray, float] | None:
     """Return amplitudes (j,) and log gain of a hologram near what two before it predict."""
-    before, former = pair = [at.amplitude[number - back * along] for back in (1, 2)]
-    size, earlier = (max(float(np.linalg.norm(each)), 1e-6) for each in pair)
+    before, former = (at.amplitude[number - back * along] for back in (1, 2))
+    size, earlier = (max(float(np.linalg.norm(each)), 1e-6) for each in (before, former))
     expected = 1 / np.clip(2 / size - 1 / earlier, 1 / (_STEEPEST * size), _STEEPEST / size)
     sizes = np.concatenate([np.array(_SIZES) * expected / size, [1.0]])
     starts = np.concatenate([sizes[:, None] * before, at.amplitude[number][None]])
     steps = np.full(len(starts), number)
     found, louder, left = _solved(problem.some(steps), at, steps, starts)
     larger = np.log(np.maximum(np.linalg.norm(found, axis=1), 1e-6) / expected)
-    apart = np.hypot(larger, _beyond(*(np.broadcast_to(each, found.shape) for each in pair[::-1]), found))
+    older, newer = (np.broadcast_to(each, found.shape) for each in (former, before))
+    apart = np.hypot(larger, _beyond(older, newer, found))
     apart[~(left <= FAR * problem.seen[number])] = np.inf
     best = int(np.argmin(apart))
     return (found[best], float(louder[best])) if np.isfinite(apart[best]) else None

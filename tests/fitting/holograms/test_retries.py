@@ -11,6 +11,7 @@ from fitting.holograms.bessel import BesselTable
 from fitting.holograms.displacement import _Level, _with_steady_light, fit_displacements
 from fitting.holograms.problem import Problem
 from fitting.holograms.retries import (
+    breaks,
     followed,
     in_other_fringes,
     in_right_fringes,
@@ -86,6 +87,7 @@ def test_a_group_whose_gains_are_wrong_moves_together(
     # Alone no hologram is tried again.
     monkeypatch.setattr(retries, "unexplained", lambda *_: np.zeros(0, np.intp))
     monkeypatch.setattr(retries, "tried_again", lambda _problem, at, *_: (at, np.zeros(0, np.intp)))
+    monkeypatch.setattr(retries, "breaks", lambda *_: np.zeros(0, np.intp))
     first = [LOST] if together else []
     wrong = iter([*first, *first])
     monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: next(wrong, np.zeros(0, np.intp)))
@@ -112,6 +114,41 @@ def test_a_group_that_is_explained_no_better_stays(sweep, problem, found, monkey
     monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: LOST)
     there, _ = in_right_fringes(blocks, at, step, 8)
     assert same_fringe(there.amplitude, at.amplitude).all()
+
+
+@pytest.fixture(scope="module")
+def folded(problem, found):
+    """Displacements of which some return where they should pass the first maximum of J₁."""
+    u = found.amplitude_rad[LOST] @ problem.functions.T
+    size = np.abs(u)
+    back = np.where(size > 1.84, np.maximum(3.68 - size, 0.2) / np.maximum(size, 1e-9), 1.0) * u
+    amplitude = found.amplitude_rad.copy()
+    amplitude[LOST] = back @ np.linalg.pinv(problem.functions.astype(float)).T
+    return amplitude
+
+
+def test_displacements_break_where_they_go_on_in_another_fringe(problem, found, folded):
+    assert not breaks(problem, found.amplitude_rad).size
+    assert breaks(problem, folded).tolist() == [LOST[0] - 1, LOST[-1]]
+    # The phase of a hologram is arbitrary, and below the first maximum there are no fringes.
+    turned = np.exp(1j * np.arange(len(folded)))[:, None] * folded
+    assert breaks(problem, turned).tolist() == [LOST[0] - 1, LOST[-1]]
+    assert not breaks(problem, 0.05 * folded).size
+
+
+def test_a_group_that_breaks_off_moves_together(sweep, problem, found, folded, monkeypatch):
+    """Its gains are as they should be, and none of it is explained better alone."""
+    level = _Level.of(sweep.block_amplitudes, sweep.basis)
+    blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
+    there = Solution(folded, found.gain.copy(), found.object_field, found.field_variance)
+    there = with_field(problem, there, np.ones(len(folded)), found.change)
+    monkeypatch.setattr(retries, "unexplained", lambda *_: np.zeros(0, np.intp))
+    monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: np.zeros(0, np.intp))
+    monkeypatch.setattr(retries, "tried_again", lambda _problem, at, *_: (at, np.zeros(0, np.intp)))
+    at, step = settled(blocks, there, 1)
+    assert not same_fringe(at.amplitude[LOST], found.amplitude_rad[LOST]).any()
+    at, _ = in_right_fringes(blocks, at, step, 8)
+    assert same_fringe(at.amplitude, found.amplitude_rad).all()
 
 
 def test_two_starts_may_differ_by_more_than_two_solutions_of_one_start(problem, found):

@@ -34,6 +34,7 @@ from physics.parameters.chamber import Chamber
 from physics.parameters.drive import Drive
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
+from physics.plausible.chambers import log_forces
 from physics.reed.elements.fem import Symmetry
 
 _KEPT = 8192
@@ -64,16 +65,10 @@ _RATIO, _RATIO_BAND = 0.03, 0.015
 _SPOILT = 0.25
 # Holograms are compared where both have at least this amplitude, rad, and at least this many.
 _LEAST_AMPLITUDE_RAD, _FEWEST = 0.3, 3
-# Log of what moves a mode: gain, by smooth ripple of the loudspeaker, by pressure that is not the
-# model's.
-_GAIN, _RIPPLE, _FIELD = 0.5, 0.08, 0.15
-# The pressure's shape differs from a standing wave by smooth products over the window, along and
-# across, and over log frequency about its middle: each by this share. Chosen: a chamber with
-# corners, walls that give, and a wave that travels.
-_PRESSURE = 0.1
-_SHAPES = ((1, 0), (0, 1), (2, 0), (1, 1))
-_MIDDLE_HZ, _PITCH_DEGREE = 4.5e3, 1
-_RIPPLE_DEGREE = 5
+# Log of what moves a mode: gain, which a tweeter 0.1 to 1 m from the reed decides to a factor of
+# three, and what is not the model's in a mode's shape and its place in the window. It pushes, too,
+# where pressures cancel.
+_GAIN, _FIELD = 1.0, 0.15
 # Holograms on either side of a mode in which a drive may jump; from which second difference on, and
 # what share of it forces are then uncertain by.
 _BESIDE, _BENT, _JUMP = 2, 0.4, 0.5
@@ -112,7 +107,16 @@ def excitation_group(
         return bent
 
     noise = np.diag(error**2) + fitted + leaked + _SMOOTH**2 * powers @ powers.T
-    waves = tuple(
+    places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
+    return observable_group(
+        "lines of the drive", Observable.DRIVE, log, Errors(noise, _waves(apart)), places,
+        ("drive",), predict,
+    )  # fmt: skip
+
+
+def _waves(apart: Array) -> tuple[GroupNuisances, ...]:
+    """Return waves of a loudspeaker's response, for differences (n, n) of log frequency."""
+    return tuple(
         GroupNuisances(
             f"response over {length:g}",
             spread * _columns(np.exp(-0.5 * (apart / length) ** 2)),
@@ -121,11 +125,6 @@ def excitation_group(
         )
         for spread, length in _WAVES
     )
-    places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
-    return observable_group(
-        "lines of the drive", Observable.DRIVE, log, Errors(noise, waves), places, ("drive",),
-        predict,
-    )  # fmt: skip
 
 
 def _columns(covariance: Array) -> Array:
@@ -281,20 +280,17 @@ def force_group(
     error = np.array([s.force_error[i] for s, i in zip(loud, at, strict=True)]).mean(axis=0)
     hz = loud[0].hz[at[0]]
     volts = np.interp(hz, loud[0].drive_hz, loud[0].volts)
-    pitch = np.log(hz / 4e3) / np.log(5)
-    powers = np.polynomial.legendre.legvander(np.clip(pitch, -1, 1), _RIPPLE_DEGREE)
-    ripple = _RIPPLE * powers[:, 1:] / np.sqrt(np.arange(1, _RIPPLE_DEGREE + 1))
-    doubt = np.array([_doubt(reed_solver, nominal.chamber, known[name]) for name in names])
     torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
+    closed, modes = replace(nominal.chamber, leak=0.0), [known[name] for name in names]
+    usual = [_pushed(_pushes(reed_solver, closed, mode), 0.0) for mode in modes]
+    fields = log_forces(reed_solver, closed, modes, np.array(usual))
+    apart = np.log(hz)[:, None] - np.log(hz)
     errors = Errors(
-        np.diag(error**2 + doubt**2 + torn**2) + _GAIN**2,
+        np.diag(error**2 + _FIELD**2 + torn**2) + _GAIN**2,
         (
-            GroupNuisances("response of the tweeter", ripple, DISORDER, "data sheets of tweeters"),
+            *_waves(apart),
             GroupNuisances(
-                "pressure on the reed",
-                _PRESSURE * _by_pressure(reed_solver, nominal.chamber, [known[n] for n in names]),
-                DISORDER,
-                "chosen: chambers have corners, and walls that give",
+                "pressure on the reed", fields.columns, DISORDER, "chambers that a bench may have"
             ),
         ),
     )
@@ -303,7 +299,7 @@ def force_group(
     def predict(parameters: BenchParameters) -> Array:
         drive = parameters.drive
         resounding = _gain(drive, hz) * kept_by_tweeter(drive, volts, hz)
-        force: Array = np.log(predicted(parameters, names) * resounding)
+        force: Array = np.log(predicted(parameters, names) * resounding) + fields.mean
         return force
 
     places = [
@@ -313,59 +309,6 @@ def force_group(
     return observable_group(
         "forces", Observable.RESPONSE, forces.mean(axis=0), errors, places, parts, predict
     )
-
-
-def _by_pressure(reed_solver: ReedSolver, chamber: Chamber, modes: Sequence[ReedMode]) -> Array:
-    """Return what smooth changes of the pressure's shape add to log forces (m, c).
-
-    The changes are products of Legendre polynomials over the window and of log frequency, each of
-    mean square 1; those that are even over the window are a gain.
-    """
-    closed = replace(chamber, leak=0.0)
-    x, y = reed_solver.reed.load_points_m.T
-    rows = []
-    for mode in modes:
-        usual = _pushes(reed_solver, closed, mode)
-        size = np.hypot(usual.closed, _FIELD * usual.without_signs)
-        pitch = np.clip(np.log(mode.hz / _MIDDLE_HZ) / np.log(_MIDDLE_HZ / 1e3), -1, 1)
-        in_pitch = _legendre(np.array([pitch]), _PITCH_DEGREE)[0]
-        row = []
-        for a, b in _SHAPES:
-            along = _legendre(np.clip(2 * x / closed.length_m - 1, -1, 1), a)[:, a]
-            pushed = sum(
-                _pushed(
-                    reed_solver,
-                    closed,
-                    mode,
-                    along * _legendre(np.clip(side * y / closed.half_width_m, -1, 1), b)[:, b],
-                    side,
-                )
-                for side in (1, -1)
-            )
-            row += list(np.clip(pushed / size, -1, 1) * in_pitch)
-        rows.append(row)
-    return np.array(rows)
-
-
-def _legendre(at: Array, degree: int) -> Array:
-    """Return Legendre polynomials (n, degree + 1) of mean square 1 over −1 … 1."""
-    table: Array = np.polynomial.legendre.legvander(at, degree)
-    return table * np.sqrt(2 * np.arange(degree + 1) + 1)
-
-
-def _pushed(
-    reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode, factor: Array, side: int
-) -> float:
-    """Return the force on a mode by the pressure on one side of the reed, times a factor."""
-    reed, start, total = reed_solver.reed, 0, 0.0
-    x, y = reed.load_points_m.T
-    acting = factor * pressure_shape(chamber, mode.hz, x, side * y)
-    for symmetry, half in reed.loose.items():
-        own = mode.coordinates[start : start + half.mass.shape[0]]
-        start += half.mass.shape[0]
-        sign = 1 if symmetry is Symmetry.SYMMETRIC else side
-        total += 0.5 * sign * float(acting @ (half.load_z @ own))
-    return total
 
 
 def _torn(sweep: SweepReading, hz: Array) -> Array:
@@ -402,23 +345,12 @@ def forces_rad(
         each = [pushes(reed, closed, name) for name in names]
         at_tip = np.array([abs(tweeter_pressure_pa(drive.tweeter, float(f), 1.0)) for f in hz])
         at_tip *= np.abs(amplifier_gain(drive, hz))
-        # Where pressures cancel, what is not the model's in them pushes all the same.
-        pushed = np.hypot(
-            [one.closed + leak * one.by_leak for one in each],
-            [_FIELD * one.without_signs for one in each],
-        )
+        pushed = np.array([_pushed(one, leak) for one in each])
         moved = at_tip * pushed / (2 * np.pi * hz) ** 2
         force: Array = 4 * np.pi / wavelength_m * moved * np.array([one.deepest for one in each])
         return force
 
     return forces
-
-
-def _doubt(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> float:
-    """Log of a force by pressure that is not the model's: more where the model's cancels."""
-    pushes = _pushes(reed_solver, replace(chamber, leak=0.0), mode)
-    share = (_FIELD * pushes.without_signs) ** 2
-    return float(np.hypot(_FIELD, share / (share + pushes.closed**2)))
 
 
 @dataclass(frozen=True)
@@ -430,7 +362,7 @@ class _Pushes:
     closed, by_leak : float
         Force with a chamber as it is filled, and what it grows by if it leaks all.
     without_signs : float
-        Force if the pressure pushed in phase with the mode everywhere.
+        Force if the pressure of the closed chamber pushed in phase with the mode everywhere.
     deepest : float
         What the mode has of the elastic mode of its name, where that moves most.
     """
@@ -441,6 +373,11 @@ class _Pushes:
     deepest: float
 
 
+def _pushed(pushes: _Pushes, leak: float) -> float:
+    """Return the force with a leak; where pressures cancel, what is not the model's in them."""
+    return float(np.hypot(pushes.closed + leak * pushes.by_leak, _FIELD * pushes.without_signs))
+
+
 def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushes:
     reed = reed_solver.reed
     x, y = reed.load_points_m.T
@@ -448,7 +385,7 @@ def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushe
     whole = replace(chamber, leak=1.0)
     more = [pressure_shape(whole, mode.hz, x, side * y) for side in (1, -1)]
     start, pushed = 0, np.zeros(2)
-    everywhere = np.zeros(len(left))
+    moved = np.zeros((2, len(left)))
     for symmetry, half in reed.loose.items():
         own = mode.coordinates[start : start + half.mass.shape[0]]
         start += half.mass.shape[0]
@@ -456,8 +393,8 @@ def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushe
         deflection = half.load_z @ own
         acting = np.array([left + sign * right, more[0] + sign * more[1]])
         pushed += 0.5 * acting @ deflection
-        everywhere += deflection
-    without_signs = 0.5 * float(np.abs(left) @ np.abs(everywhere))
+        moved += np.array([[1], [sign]]) * deflection
+    without_signs = 0.5 * float(np.sum(np.abs([left, right]) * np.abs(moved)))
     closed, leaking = (float(force) for force in pushed)
     return _Pushes(closed, leaking - closed, without_signs, _deepest(reed_solver, mode))
 

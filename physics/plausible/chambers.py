@@ -1,9 +1,9 @@
 """Forces on modes by pressures that a chamber may have: how far they are from the model's.
 
-Nobody measures the pressure on a reed. Its shape depends on how the reed lies on the rails of the
+The pressure on a reed is not measured. Its shape depends on how the reed lies on the rails of the
 window, where it was put on the table, how the far end of the chamber reflects, and how much sound
-gets to the bark side. Some modes are moved by the difference of large pressures that cancel: of
-them, little is known in advance. Forces by many such chambers say how much.
+gets to the bark side. Some modes are moved by the difference of large pressures that nearly cancel:
+their forces are known to a factor of ten only. The forces in many such chambers say how well.
 """
 
 from collections.abc import Sequence

@@ -78,7 +78,7 @@ def test_a_chamber_without_distortion_has_its_own_pressure(solver) -> None:
 
 
 def test_of_modes_that_an_open_chamber_does_not_push_little_is_known(solver, modes) -> None:
-    """Only what is uneven pushes them: nobody knows how much, but it is one number for all."""
+    """What differs from left to right pushes all of them, by an amount that is not known."""
     found = fields(solver, modes, OPEN)
     own = spread(found)
     assert own[TORSION].min() > 2 * own[BENDING].max()

@@ -8,11 +8,12 @@ evidence for an effect. Given the factors the model is linear and Gaussian, and 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from diagnosis.inference.posterior import Posterior, Structure
 from holography.arrays import Array
 
 # Iterations of the factors: until none changes by more than the first number, and at most the
@@ -68,6 +69,11 @@ class LinearModel:
     noise_freedom: Array
     family_freedom: Array
 
+    @cached_property
+    def structure(self) -> Structure:
+        """Which nuisances reach one group only."""
+        return Structure.of(self.slopes, self.group)
+
     @property
     def usual(self) -> Scales:
         """Factors of 1."""
@@ -83,9 +89,8 @@ class LinearModel:
 
     def not_absorbed(self, shift: Array, scales: "Scales") -> Array:
         """Return the part of a shift (n,) that nuisances of such scales do not absorb."""
-        found = _posterior(self, scales, np.zeros(len(shift)))
-        pulled = self.slopes.T @ (shift / found.variance)
-        left: Array = shift - self.slopes @ (found.covariance @ pulled)
+        found = _posterior(replace(self, left=shift), scales, np.zeros(len(shift)))
+        left: Array = shift + self.slopes @ found.mean
         return left
 
     def moved(self, shift: Array) -> "LinearModel":
@@ -104,22 +109,25 @@ class Weighed:
     scales : Scales
     nuisances : (q,) float
         Posterior mean, in units of the usual standard deviations.
-    covariance : (q, q) float
-    precision : (n, n) float
-        Inverse covariance of `LinearModel.left`.
     form : (n,) float
         Further variance of each number that it was weighed with.
     unusual : float
         Sum of squares of the scales' logarithms, in units of their standard deviations.
+    posterior : Posterior
+        Of the nuisances.
     """
 
     log_evidence: float
     scales: Scales
     nuisances: Array
-    covariance: Array
-    precision: Array
     form: Array
     unusual: float
+    posterior: Posterior
+
+    @cached_property
+    def precision(self) -> Array:
+        """Inverse covariance (n, n) of `LinearModel.left`."""
+        return self.posterior.precision()
 
 
 def weigh(
@@ -173,41 +181,16 @@ def weighed_at(model: LinearModel, scales: Scales, more: Array | None = None) ->
         log_evidence=-0.5 * (found.squares + log_det + unusual),
         scales=scales,
         nuisances=found.mean,
-        covariance=found.covariance,
-        precision=_inverse(found),
         form=extra,
         unusual=unusual,
+        posterior=found,
     )
 
 
-@dataclass(frozen=True)
-class _Posterior:
-    mean: Array
-    covariance: Array
-    log_det: float
-    variance: Array
-    slopes: Array
-    squares: float
-
-
-def _posterior(model: LinearModel, scales: Scales, extra: Array) -> _Posterior:
+def _posterior(model: LinearModel, scales: Scales, extra: Array) -> Posterior:
     """Posterior of the nuisances for given scales."""
     variance = np.exp(2 * scales.noise)[model.group] + extra
-    weighted = model.slopes / variance[:, None]
-    precision = weighted.T @ model.slopes + np.diag(1 / _prior_variance(model, scales))
-    lower = linalg.cholesky(precision, lower=True)
-    covariance = linalg.cho_solve((lower, True), np.eye(len(precision)))
-    mean = -covariance @ (weighted.T @ model.left)
-    squares = float(model.left @ (model.left / variance) + mean @ (weighted.T @ model.left))
-    log_det = -2 * float(np.sum(np.log(np.diag(lower))))
-    return _Posterior(mean, covariance, log_det, variance, model.slopes, squares)
-
-
-def _inverse(found: _Posterior) -> Array:
-    """Inverse covariance (n, n) of the numbers, nuisances marginalised."""
-    weighted = found.slopes / found.variance[:, None]
-    whole: Array = np.diag(1 / found.variance) - weighted @ found.covariance @ weighted.T
-    return whole
+    return Posterior.of(model.structure, model.left, variance, _prior_variance(model, scales))
 
 
 def _prior_variance(model: LinearModel, scales: Scales) -> Array:
@@ -223,10 +206,10 @@ def _unusual(model: LinearModel, scales: Scales) -> float:
     return float(squares)
 
 
-def _next(model: LinearModel, scales: Scales, extra: Array, found: _Posterior) -> Scales:
+def _next(model: LinearModel, scales: Scales, extra: Array, found: Posterior) -> Scales:
     """Return the scales that are likeliest if nuisances and noise are as the last ones say (EM)."""
     left = model.left + model.slopes @ found.mean
-    spread = np.einsum("nq,qp,np->n", model.slopes, found.covariance, model.slopes, optimize=True)
+    uncertain, spread = found.variances()
     # Of numbers with further variance only the share that is noise tells how large noise is.
     noise = np.exp(2 * scales.noise)[model.group]
     share = noise / found.variance
@@ -236,7 +219,7 @@ def _next(model: LinearModel, scales: Scales, extra: Array, found: _Posterior) -
     counts = np.bincount(model.group, minlength=groups)
     families = len(model.family_freedom)
     scaled = model.family != KNOWN
-    own = found.mean**2 + np.diag(found.covariance)
+    own = found.mean**2 + uncertain
     amounts = np.bincount(model.family[scaled], own[scaled], families).astype(float)
     sizes = np.bincount(model.family[scaled], minlength=families)
     return Scales(

@@ -5,7 +5,7 @@ geometry of the reed file and the cane of the paper, rigidly clamped, in free ai
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 
@@ -25,6 +25,7 @@ from physics.reed.elements.coarse import coarse_mesh_cents
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import half_width_m
 from physics.reed.mode_classification import names_of
+from physics.reed.nearby import NearbyModes
 from physics.reed.random_surface import random_surface
 from physics.reed.reduced.changes import (
     Change,
@@ -39,7 +40,7 @@ from physics.reed.reduced.changes import (
 from physics.reed.reduced.derivatives import form_by_ln_hz
 from physics.reed.reduced.dynamics import PIVOT_HZ, CaneLaw, LossFactors, State
 from physics.reed.reduced.elastic import all_descriptors
-from physics.reed.reduced.losses import loss_factors, radiated, spring_energies
+from physics.reed.reduced.losses import cane_loss_factors, radiated, spring_energies
 from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduced.response import (
     Pressure,
@@ -63,6 +64,9 @@ _SHEAR_LOSS = (
 # Results to keep in each cache. Chosen: bounds the memory of a long diagnosis; a change is some
 # megabytes.
 _KEPT, _KEPT_CHANGES = 512, 16
+# Reeds to keep with all their modes, and with what those of others are sought from: some ten
+# megabytes each.
+_KEPT_REEDS = 4
 
 
 @dataclass(frozen=True)
@@ -216,6 +220,8 @@ class Mechanics:
     coarse_share : float
         Fraction of the additional stiffness of a coarse mesh that is included (see
         `physics.reed.elements.coarse`).
+    near : Mechanics, optional
+        A reed that differs little, from which modes are sought; it changes no result.
     """
 
     cane: ViscoelasticCane = viscoelastic_cane(Components(), Series.A)
@@ -228,6 +234,19 @@ class Mechanics:
         1.0, "", 0.0, 4.0, "decision 0026: a free plate; in a wide wall it is up to twice as much"
     )
     coarse_share: float = quantity(0.0, "", -2.0, 3.0, "decision 0009")
+    near: "Mechanics | None" = field(default=None, compare=False, repr=False)
+
+    @property
+    def lossless(self) -> "Mechanics":
+        """What decides frequencies and shapes: all but losses and the mesh."""
+        usual = Mechanics()
+        return replace(
+            self,
+            loss_factor=usual.loss_factor,
+            loss_growth=usual.loss_growth,
+            shear_loss_log=usual.shear_loss_log,
+            coarse_share=usual.coarse_share,
+        )
 
 
 @dataclass(frozen=True)
@@ -276,6 +295,10 @@ class ReedSolver:
         self._laws = lru_cache(maxsize=_KEPT)(lambda cane, shift: cane_law(reed.cane, cane, shift))
         self._change = lru_cache(maxsize=_KEPT_CHANGES)(self._combined)
         self._named = lru_cache(maxsize=1)(self._named_shapes)
+        self._vibrations = lru_cache(maxsize=_KEPT_REEDS)(self._vibrations_of)
+        self._nearby = lru_cache(maxsize=_KEPT_REEDS)(
+            lambda known: NearbyModes(reed, self.state(known), HIGHEST_HZ)
+        )
         # Cached, because a finite difference in one parameter leaves most reeds of a campaign
         # unchanged.
         self.modes = lru_cache(maxsize=_KEPT)(self._modes)
@@ -304,10 +327,11 @@ class ReedSolver:
         ImpossibleReedError
             If such a reed is physically impossible.
         """
-        found = vibrations(self.reed, self.state(reed), HIGHEST_HZ)
+        found = self._vibrations(reed.lossless)
         loss = reed.loss_factor * (found.hz / PIVOT_HZ) ** reed.loss_growth
         if reed.shear_loss_log:
-            loss = loss * _share_of_loss(found, reed.shear_loss_log)
+            unequal = LossFactors(1.0, float(np.exp(reed.shear_loss_log)))
+            loss = loss * cane_loss_factors(found, unequal)
         # What the springs of a compliant clamp store is not lost in the cane.
         in_springs = spring_energies(found) / np.square(2 * np.pi * found.hz)
         loss = loss * (1 - in_springs) + radiated(found)
@@ -324,6 +348,16 @@ class ReedSolver:
                 hz *= 2 ** (reed.coarse_share * follow[m] * octaves)
             modes[name] = ReedMode(name, hz, float(loss[m]), found.coordinates[:, m])
         return MappingProxyType(modes)
+
+    def _vibrations_of(self, reed: Mechanics) -> Vibrations:
+        if reed.near is not None:
+            known = self._nearby(reed.near.lossless)
+            if reed == reed.near.lossless:
+                return known.own
+            found = known.modes(self.state(reed))
+            if found is not None:
+                return found
+        return vibrations(self.reed, self.state(reed), HIGHEST_HZ)
 
     def response(
         self,
@@ -390,13 +424,6 @@ class ReedSolver:
         found = vibrations(self.reed, self.state(Mechanics()), HIGHEST_HZ)
         names = [naming.name for naming in names_of(all_descriptors(self.reed, found.coordinates))]
         return names, found.coordinates.T @ self.mass_kg
-
-
-def _share_of_loss(found: Vibrations, shear_loss_log: float) -> Array:
-    """Return the loss (m,) of modes in units of that of a cane whose moduli are equally lossy."""
-    unequal = LossFactors(1.0, float(np.exp(shear_loss_log)))
-    each = [loss_factors(found, own) - radiated(found) for own in (unequal, LossFactors(1.0, 1.0))]
-    return np.asarray(each[0] / each[1])
 
 
 def cane_law(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> CaneLaw:

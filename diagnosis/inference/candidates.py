@@ -302,18 +302,29 @@ def _followed(
     """
     p, positive = len(problem.nuisances), _positive(effects, len(problem.nuisances))
 
-    def residuals(z: Array) -> Array:
-        return problem.residuals(with_effects(problem.parameters(z[:p]), effects, z[p:]))
+    def model(z: Array) -> BenchParameters:
+        return with_effects(problem.parameters(z[:p]), effects, z[p:])
 
     found = None
     with contextlib.suppress(ImpossibleReedError):
         for _ in range(_MOST_TURNS):
+            near = model(z)
+            residuals = partial(_residuals, problem, model, near)
             slopes = partial(_held, _slopes(problem, effects, residuals, z))
             found = fit(residuals, positive, [z], slopes, _LEAST_GAIN)
             if np.abs(found.z - z).max() < _AT_REST:
                 break
             z = found.z
     return found
+
+
+def _residuals(
+    problem: InferenceProblem,
+    model: Callable[[Array], BenchParameters],
+    near: BenchParameters,
+    z: Array,
+) -> Array:
+    return problem.residuals(model(z), near)
 
 
 def _held(slopes: Array, _z: Array) -> Array:

@@ -205,7 +205,8 @@ class _Line:
         return self._kept[share]
 
     def _residuals(self, sizes: Array) -> Array:
-        return self.problem.residuals(self.located.change(self.start.parameters, sizes))
+        known = self.start.parameters
+        return self.problem.residuals(self.located.change(known, sizes), known)
 
     def seconds_at(self, share: float) -> Array:
         """Return what second parameters change (n, c), in units of the noise, at such a share."""

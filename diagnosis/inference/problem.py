@@ -12,7 +12,7 @@ from diagnosis.inference.nuisances import Nuisance, uncertain_sizes
 from diagnosis.observable_groups import DISORDER, ObservableGroup
 from holography.arrays import Array
 from physics.effects.effect import Effect, Parameter
-from physics.parameters.tree import BenchParameters
+from physics.parameters.tree import BenchParameters, near_to
 from physics.sized_effect import SizedEffect
 
 _KEPT = 4096
@@ -79,8 +79,22 @@ class InferenceProblem:
         count = len(self.nuisances) - sum(len(effect.uncertain) for effect in self.known)
         return InferenceProblem(self.groups, self.base, self.nuisances[:count])
 
-    def residuals(self, parameters: BenchParameters) -> Array:
-        """Return the whitened residuals (n,): model less measurement."""
+    def residuals(self, parameters: BenchParameters, near: BenchParameters | None = None) -> Array:
+        """Return the whitened residuals (n,): model less measurement.
+
+        Parameters
+        ----------
+        parameters : BenchParameters
+        near : BenchParameters, optional
+            A model that differs little: modes are sought from those of its reed, which is faster.
+
+        Raises
+        ------
+        ImpossibleReedError
+            If the reed, or the one near it, is physically impossible.
+        """
+        if near is not None:
+            parameters = near_to(parameters, near)
         return -np.concatenate(
             [
                 self._left(number, tuple(getattr(parameters, part) for part in block.parts))
@@ -196,12 +210,14 @@ class InferenceProblem:
         self, z: Array, change: Callable[[BenchParameters], BenchParameters]
     ) -> Array:
         """Return the Jacobian (n, p) along the nuisances at z, of a changed model."""
-        here, columns = self.residuals(change(self.parameters(z))), []
+        near, columns = change(self.parameters(z)), []
+        here = self.residuals(near, near)
         for k in range(len(z)):
             step = -STEP if z[k] > 0 else STEP
             moved = z.copy()
             moved[k] += step
-            columns.append((self.residuals(change(self.parameters(moved))) - here) / step)
+            there = self.residuals(change(self.parameters(moved)), near)
+            columns.append((there - here) / step)
         return np.stack(columns, axis=1)
 
 

@@ -282,8 +282,8 @@ def force_group(
     volts = np.interp(hz, loud[0].drive_hz, loud[0].volts)
     torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
     closed, modes = replace(nominal.chamber, leak=0.0), [known[name] for name in names]
-    usual = [_pushed(_pushes(reed_solver, closed, mode), 0.0) for mode in modes]
-    fields = log_forces(reed_solver, closed, modes, np.array(usual))
+    usual = _pushed(_pushes(reed_solver, closed, modes), 0.0)
+    fields = log_forces(reed_solver, closed, modes, usual)
     apart = np.log(hz)[:, None] - np.log(hz)
     errors = Errors(
         np.diag(error**2 + _FIELD**2 + torn**2) + _GAIN**2,
@@ -331,8 +331,9 @@ def forces_rad(
     """
 
     @lru_cache(maxsize=_KEPT)
-    def pushes(reed: Mechanics, chamber: Chamber, name: str) -> _Pushes:
-        return _pushes(reed_solver, chamber, reed_solver.modes(reed)[name])
+    def pushes(reed: Mechanics, chamber: Chamber, names: tuple[str, ...]) -> _Pushes:
+        modes = reed_solver.modes(reed)
+        return _pushes(reed_solver, chamber, [modes[name] for name in names])
 
     def forces(parameters: BenchParameters, names: Sequence[str]) -> Array:
         reed, drive, leak = parameters.reed, parameters.drive, parameters.chamber.leak
@@ -342,12 +343,12 @@ def forces_rad(
         if missing:
             raise ImpossibleReedError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in names])
-        each = [pushes(reed, closed, name) for name in names]
+        each = pushes(reed, closed, tuple(names))
         at_tip = np.array([abs(tweeter_pressure_pa(drive.tweeter, float(f), 1.0)) for f in hz])
         at_tip *= np.abs(amplifier_gain(drive, hz))
-        pushed = np.array([_pushed(one, leak) for one in each])
+        pushed = _pushed(each, leak)
         moved = at_tip * pushed / (2 * np.pi * hz) ** 2
-        force: Array = 4 * np.pi / wavelength_m * moved * np.array([one.deepest for one in each])
+        force: Array = 4 * np.pi / wavelength_m * moved * each.deepest
         return force
 
     return forces
@@ -355,66 +356,71 @@ def forces_rad(
 
 @dataclass(frozen=True)
 class _Pushes:
-    """Modal forces of unit pressure at the tip.
+    """Forces of unit pressure at the tip on m modes.
 
     Attributes
     ----------
-    closed, by_leak : float
+    closed, by_leak : (m,) float
         Force with a chamber as it is filled, and what it grows by if it leaks all.
-    without_signs : float
+    without_signs : (m,) float
         Force if the pressure of the closed chamber pushed in phase with the mode everywhere.
-    deepest : float
+    deepest : (m,) float
         What the mode has of the elastic mode of its name, where that moves most.
     """
 
-    closed: float
-    by_leak: float
-    without_signs: float
-    deepest: float
+    closed: Array
+    by_leak: Array
+    without_signs: Array
+    deepest: Array
 
 
-def _pushed(pushes: _Pushes, leak: float) -> float:
-    """Return the force with a leak; where pressures cancel, what is not the model's in them."""
-    return float(np.hypot(pushes.closed + leak * pushes.by_leak, _FIELD * pushes.without_signs))
+def _pushed(pushes: _Pushes, leak: float) -> Array:
+    """Return forces (m,) with a leak; where pressures cancel, what is not the model's in them."""
+    pushed: Array = np.hypot(pushes.closed + leak * pushes.by_leak, _FIELD * pushes.without_signs)
+    return pushed
 
 
-def _pushes(reed_solver: ReedSolver, chamber: Chamber, mode: ReedMode) -> _Pushes:
+def _pushes(reed_solver: ReedSolver, chamber: Chamber, modes: Sequence[ReedMode]) -> _Pushes:
     reed = reed_solver.reed
     x, y = reed.load_points_m.T
-    left, right = (pressure_shape(chamber, mode.hz, x, side * y) for side in (1, -1))
-    whole = replace(chamber, leak=1.0)
-    more = [pressure_shape(whole, mode.hz, x, side * y) for side in (1, -1)]
-    start, pushed = 0, np.zeros(2)
-    moved = np.zeros((2, len(left)))
-    for symmetry, half in reed.loose.items():
-        own = mode.coordinates[start : start + half.mass.shape[0]]
-        start += half.mass.shape[0]
+    # The standing wave times what walls and clay let through, which is its shape at 0 Hz.
+    wavenumbers = 2 * np.pi * np.array([mode.hz for mode in modes]) / chamber.sound_speed_m_s
+    wave, both = np.cos(np.multiply.outer(wavenumbers, x)), (chamber, replace(chamber, leak=1.0))
+    left, right = (
+        np.array([pressure_shape(each, 0.0, x, side * y) for each in both]) for side in (1, -1)
+    )
+    shapes = np.stack([mode.coordinates for mode in modes], axis=1)
+    pushed, moved = np.zeros((len(modes), 2)), np.zeros((2, *wave.shape))
+    parts = np.split(shapes, reed.starts[1:])
+    for (symmetry, half), own in zip(reed.loose.items(), parts, strict=True):
         sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
-        deflection = half.load_z @ own
-        acting = np.array([left + sign * right, more[0] + sign * more[1]])
-        pushed += 0.5 * acting @ deflection
-        moved += np.array([[1], [sign]]) * deflection
-    without_signs = 0.5 * float(np.sum(np.abs([left, right]) * np.abs(moved)))
-    closed, leaking = (float(force) for force in pushed)
-    return _Pushes(closed, leaking - closed, without_signs, _deepest(reed_solver, mode))
+        deflection = (half.load_z @ own).T
+        pushed += 0.5 * (wave * deflection) @ (left + sign * right).T
+        moved += np.multiply.outer([1, sign], deflection)
+    sides = zip(moved, (left[0], right[0]), strict=True)
+    without_signs = sum(0.5 * np.abs(wave * side) @ np.abs(open_) for side, open_ in sides)
+    closed, leaking = pushed.T
+    return _Pushes(closed, leaking - closed, without_signs, _deepest(reed_solver, modes))
 
 
-def _deepest(reed_solver: ReedSolver, mode: ReedMode) -> float:
-    """Return what a mode has of the elastic mode of its name, where that moves most.
+def _deepest(reed_solver: ReedSolver, modes: Sequence[ReedMode]) -> Array:
+    """Return what modes (m,) have of the elastic modes of their names, where those move most.
 
     A fit states a mode in units of that shape. If the mode is changed, it has other shapes, too:
     their largest deflection is not what its force was measured by.
     """
-    reed, start = reed_solver.reed, 0
-    shape = reed_solver.modes(elastic_reed()).get(mode.name, mode).coordinates
-    moved = np.zeros((2, len(reed.plan_m)))
-    for symmetry, half in reed.loose.items():
-        own = shape[start : start + half.mass.shape[0]]
-        start += half.mass.shape[0]
+    reed = reed_solver.reed
+    elastic = reed_solver.modes(elastic_reed())
+    shapes = np.stack([elastic.get(mode.name, mode).coordinates for mode in modes], axis=1)
+    moved = np.zeros((2, len(reed.plan_m), len(modes)))
+    parts = np.split(shapes, reed.starts[1:])
+    for (symmetry, half), own in zip(reed.loose.items(), parts, strict=True):
         sign = 1 if symmetry is Symmetry.SYMMETRIC else -1
         moved += np.multiply.outer([1, sign], half.surface_z @ own)
-    along = shape @ reed_solver.mass_kg
-    return float(abs(along @ mode.coordinates) / (along @ shape) * np.abs(moved).max())
+    along = reed_solver.mass_kg @ shapes
+    own = np.stack([mode.coordinates for mode in modes], axis=1)
+    share = np.sum(along * own, axis=0) / np.sum(along * shapes, axis=0)
+    return np.asarray(np.abs(share) * np.abs(moved).max(axis=(0, 1)))
 
 
 def _lines(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:

@@ -63,6 +63,11 @@ def with_part(tree: T, path: str, **changes: Any) -> T:
     return whole
 
 
+def near_to(parameters: BenchParameters, known: BenchParameters) -> BenchParameters:
+    """Return the same parameters, with modes that are sought from those of a known reed."""
+    return replace(parameters, reed=replace(parameters.reed, near=replace(known.reed, near=None)))
+
+
 def part_at(tree: Any, path: str) -> Any:
     """Return the part of a tree at a path, such as ``optics.illumination``."""
     for name in path.split("."):

@@ -37,10 +37,21 @@ def spring_energies(found: Vibrations) -> Array:
 
 def loss_factors(found: Vibrations, losses: LossFactors) -> Array:
     """Loss factors (m,) to first order."""
-    stiffnesses = terms_and_slopes(found.state.law.constants_at(found.hz))[0]
-    energies = np.einsum("sm,tsm->mt", found.coordinates, cane_products(found), optimize=True)
-    stored = energies * stiffnesses
+    stored = _stored(found)
     springs = spring_energies(found)
     lost = (stored @ losses.of_terms).imag + losses.clamp * springs
     # The air adds mass, and the mode has unit mass with it: what is stored is ω².
     return np.asarray(lost / (stored.sum(axis=1) + springs) + radiated(found))
+
+
+def cane_loss_factors(found: Vibrations, losses: LossFactors) -> Array:
+    """Loss factors (m,) of the cane alone: of what the cane stores, the fraction that it loses."""
+    stored = _stored(found)
+    return np.asarray((stored @ losses.of_terms).imag / stored.sum(axis=1))
+
+
+def _stored(found: Vibrations) -> Array:
+    """Quadratic forms (m, 9) of every mode in each term of the stiffness of the cane."""
+    stiffnesses = terms_and_slopes(found.state.law.constants_at(found.hz))[0]
+    energies = np.einsum("sm,tsm->mt", found.coordinates, cane_products(found), optimize=True)
+    return np.asarray(energies * stiffnesses)

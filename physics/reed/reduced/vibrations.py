@@ -7,6 +7,7 @@ iteration. Some modes are too close for that, or two end as one: those that are 
 their number n instead, as the frequency at which the n-th mode with its moduli is.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,18 +120,28 @@ def vibrations(reed: ReducedReed, state: State, highest_hz: float) -> Vibrations
     ImpossibleReedError
         If moduli grow too fast with frequency for modes to settle, or a change leaves no reed.
     """
-    size = len(reed.mass)
-    groups = tuple(
+    groups = [
         _solved(coordinates, dynamics_of(reed, state, coordinates), highest_hz)
         for coordinates in coordinates_of(reed, state.change, _INERT * highest_hz)
-    )
+    ]
+    return together(reed, state, groups)
+
+
+def together(reed: ReducedReed, state: State, groups: Sequence[Group]) -> Vibrations:
+    """Return the modes of all groups of a reed, in the order of their frequencies."""
+    size = len(reed.mass)
     hz = np.concatenate([group.hz for group in groups])
     found = [group.coordinates.everywhere_of(group.vectors, size) for group in groups]
     order = np.argsort(hz, kind="stable")
     ranks = np.argsort(order)
     ends = np.cumsum([len(group.hz) for group in groups])[:-1]
     return Vibrations(
-        reed, state, hz[order], np.hstack(found)[:, order], groups, tuple(np.split(ranks, ends))
+        reed,
+        state,
+        hz[order],
+        np.hstack(found)[:, order],
+        tuple(groups),
+        tuple(np.split(ranks, ends)),
     )
 
 
@@ -229,7 +240,7 @@ def _refined(
         x[condensed.others] -= linalg.cho_solve(
             condensed.root, residual[condensed.others], check_finite=False
         )
-    return hz, x / np.sqrt(_mass_forms(full, hz, x))
+    return hz, x / np.sqrt(mass_forms(full, hz, x))
 
 
 def _stiffness_and_mass(dynamics: Dynamics, hz: Array) -> tuple[Array, Array]:
@@ -266,8 +277,8 @@ def _modes(
     if not count:
         return np.zeros(0), vectors[:, :0]
     hz, w, near = _followed(dynamics, eigenvalues, vectors, count)
-    hz, w, settled = _settled(dynamics, hz, w)
-    good = settled & near & (hz < below_hz) & ~_alike(dynamics, hz, w)
+    hz, w, done = settled(dynamics, hz, w)
+    good = done & near & (hz < below_hz) & ~alike(dynamics, hz, w)
     if not good.all():
         hz, w = hz[good], w[:, good]
         missing = set(range(count)) - set(_ranks(dynamics, unit, hz))
@@ -275,7 +286,7 @@ def _modes(
             start_hz = float(np.sqrt(eigenvalues[number])) / (2 * np.pi)
             found_hz, vector = _counted(dynamics, number, start_hz)
             hz, w = np.append(hz, found_hz), np.column_stack([w, vector])
-    return hz, w / np.sqrt(_mass_forms(dynamics, hz, w))
+    return hz, w / np.sqrt(mass_forms(dynamics, hz, w))
 
 
 def _numbers(dynamics: Dynamics, shapes: Array, hz: Array) -> NDArray[np.int_]:
@@ -328,7 +339,7 @@ def _followed(
     return np.exp(log_hz), w, done & ~close
 
 
-def _settled(dynamics: Dynamics, hz: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def settled(dynamics: Dynamics, hz: Array, w: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Frequencies (m,), vectors (n, m) and which have settled, by inverse iteration.
 
     Errors of shapes fall by their cube: derivatives need shapes that are as exact as frequencies.
@@ -357,7 +368,7 @@ def _diagonal(matrices: Array) -> Array:
     )
 
 
-def _alike(dynamics: Dynamics, hz: Array, w: Array) -> NDArray[np.bool_]:
+def alike(dynamics: Dynamics, hz: Array, w: Array) -> NDArray[np.bool_]:
     """Which shapes (n, m) are also those of another mode."""
     similarity = np.abs(w.T @ _stiffness_and_mass(dynamics, hz[:1])[1][0] @ w)
     size = np.sqrt(np.diag(similarity))
@@ -366,7 +377,7 @@ def _alike(dynamics: Dynamics, hz: Array, w: Array) -> NDArray[np.bool_]:
     return np.asarray(similarity.max(axis=0) > _SAME_SHAPE)
 
 
-def _mass_forms(dynamics: Dynamics, hz: Array, w: Array) -> Array:
+def mass_forms(dynamics: Dynamics, hz: Array, w: Array) -> Array:
     """Mass (m,) of vectors (n, m), each with the air of its frequency."""
     amounts, _ = dynamics.amounts(hz)
     inert = np.where(dynamics.elastic, 0.0, -amounts) / (2 * np.pi * hz[:, None]) ** 2

@@ -221,6 +221,54 @@ def scalars(model: Model, state: State, terms: Terms) -> ComplexArray:
     return s
 
 
+def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> Array:
+    """Return the slopes (v, p) by all parameters under forces on the amplitudes.
+
+    The forces (k, j) are those on the real parts, less i times those on the imaginary parts. A mode
+    moves others out of phase, so that forces on these act on it, too.
+    """
+    active, count = model.active, len(model.active)
+    powers = model.powers.shape[1]
+    on_active, on_shapes = pull @ terms.shapes[active].T, pull @ model.reference.T
+    on_modes = on_shapes.copy()
+    on_modes[:, active] = on_active
+    *losses, sound = state.out_of_phase
+    mixing = np.tensordot(losses, model.loss_mixing, axes=1)
+    sounding = ((terms.resonance * on_modes)[:, None] @ model.sound)[:, 0]
+    on_modes = on_modes + 1j * (on_modes @ mixing.T - sound * sounding)
+    on_vectors = np.concatenate([on_modes[:, active], on_modes], axis=1)
+    # Matrix products: einsum itself takes several times as long.
+    by_vector = scalars(model, state, terms).transpose(1, 2, 0)
+    found: Array = (by_vector @ on_vectors.T[..., None])[..., 0].real
+    found[count:, :count] = (on_shapes.T @ terms.moved(state)[:, active]).real
+    for slot, by_others in enumerate(by_sound_of_others(model, state, terms), 2 * powers):
+        found[:count, slot] += np.sum((by_others * on_active).real, axis=0)
+    return found
+
+
+def moving_others(model: Model, state: State, terms: Terms) -> ComplexArray:
+    """Return the displacement (k, a, j) of each active mode, with what it moves out of phase."""
+    *losses, sound = state.out_of_phase
+    by_sound = terms.resonance[:, :, None] * model.sound[:, :, model.active]
+    by_loss = np.tensordot(losses, model.loss_mixing[:, model.active], axes=1) @ terms.shapes
+    others = by_loss - sound * by_sound.swapaxes(1, 2) @ terms.shapes
+    found: ComplexArray = terms.shapes[model.active] + 1j * others
+    return found
+
+
+def by_sound_of_others(
+    model: Model, state: State, terms: Terms
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return derivatives (k, a) by log frequency and log loss factor, by the sound of others.
+
+    The sound that others send moves a mode by its resonance.
+    """
+    sent = (model.sound[:, model.active] @ terms.modal[..., None])[..., 0]
+    by_hz, by_loss = by_logs(model, terms)
+    factor = -1j * state.out_of_phase[-1] * sent
+    return factor * by_hz, factor * by_loss
+
+
 @dataclass(frozen=True)
 class Prior:
     """Centre and precision (v, p) of every parameter; infinite precision fixes it."""

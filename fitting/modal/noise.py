@@ -5,13 +5,15 @@ holograms and equal in all directions. It is estimated from the residuals of a f
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize
 
 from fitting.holograms.displacement import Displacements
-from fitting.modal.field_drift import SharedError
-from fitting.modal.normal_equations import Data
+from fitting.holograms.linearisation import triangle
+from fitting.modal.field_drift import FieldDrift, SharedError
+from fitting.modal.model import OUT_OF_PHASE
 from holography.arrays import Array, ComplexArray
 
 # Limits of the discrepancy's standard deviation, as a fraction of a hologram's vibration.
@@ -22,6 +24,98 @@ _LOOSE_RAD = 100.0
 _FAR = 10
 # A hologram is an outlier if its mean square residual exceeds the median by this factor.
 _OFF = 10.0
+
+
+@dataclass(frozen=True)
+class Data:
+    """Amplitudes of all holograms, with the root of their information.
+
+    Attributes
+    ----------
+    amplitude : (k, j) complex
+    root : (k, 2j, 2j) float
+        Root of the information on the real, then imaginary parts of the amplitudes.
+    response : (k, 2j, q) float
+        Derivatives of the amplitudes by the common-mode error of each hologram, times that root.
+    drift : FieldDrift
+        How this follows from the parameters that all holograms share.
+    precision : (p, p) float
+        Inverse covariance of these parameters.
+    pull : (p,) float
+        This times their expectation.
+    """
+
+    amplitude: ComplexArray
+    root: Array
+    response: Array
+    drift: FieldDrift
+    precision: Array
+    pull: Array
+
+    def whitened_residual(self, amplitude: ComplexArray, shared: Array) -> Array:
+        """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
+        whitened_residual = self.root @ parts(self.amplitude - amplitude)[..., None]
+        shift = self.drift.shift(shared)[:, OUT_OF_PHASE:]
+        found: Array = (whitened_residual + self.response @ shift[..., None])[..., 0]
+        return found
+
+    @cached_property
+    def information(self) -> Array:
+        """Information (k, 2j, 2j) on the amplitudes."""
+        found: Array = self.root.swapaxes(1, 2) @ self.root
+        return found
+
+    @cached_property
+    def seen(self) -> Array:
+        """Sum (k,) of the information on the amplitudes of each hologram."""
+        found: Array = np.sum(self.root**2, axis=(1, 2))
+        return found
+
+    @cached_property
+    def pulls(self) -> Array:
+        """Responses (k, 2j, q) to the common-mode error, as the amplitudes feel them."""
+        found: Array = self.root.swapaxes(1, 2) @ self.response
+        return found
+
+    @cached_property
+    def drifting_pulls(self) -> Array:
+        """Those of `pulls` that drift, (k, 2, j r), for real and imaginary parts."""
+        which = self.drift.drifting - OUT_OF_PHASE
+        count, size = len(self.pulls), self.amplitude.shape[1] * len(which)
+        return np.ascontiguousarray(self.pulls[:, :, which]).reshape(count, 2, size)
+
+    @cached_property
+    def coordinate_pairs(self) -> Array:
+        """Information (2, 2, k, p) on pairs of coordinates, of which the first is not the larger.
+
+        The first axes are real or imaginary parts of the first, and of the second coordinate.
+        """
+        count, size = len(self.root), self.root.shape[1] // 2
+        one, other = triangle(size)
+        parts = self.information.reshape(count, 2, size, 2, size).transpose(1, 3, 0, 2, 4)
+        return np.ascontiguousarray(parts[..., one, other])
+
+    @cached_property
+    def common_mode_products(self) -> Array:
+        """Products (p, p) of the responses to the parameters that all holograms share.
+
+        Those by which modes are out of phase are left 0: they depend on the state.
+        """
+        rows = OUT_OF_PHASE + self.response.shape[2]
+        products = np.zeros((rows, rows, len(self.response)))
+        each = self.response.swapaxes(1, 2) @ self.response
+        products[OUT_OF_PHASE:, OUT_OF_PHASE:] = each.transpose(1, 2, 0)
+        return self.drift.products(products)
+
+    def weighing(self, fraction: float) -> "Data":
+        """Return the same data with every hologram weighted by a factor."""
+        root = np.sqrt(fraction)
+        return replace(self, root=root * self.root, response=root * self.response)
+
+
+def parts(complex_rows: ComplexArray) -> Array:
+    """Concatenate real and imaginary parts: (k, j) → (k, 2j)."""
+    return np.concatenate([complex_rows.real, complex_rows.imag], axis=1)
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from fitting.modal.model import (
     Prior,
     State,
 )
+from fitting.modal.noise import Data
 from fitting.modal.normal_equations import (
-    Data,
     Equations,
     Evaluation,
     equations,
@@ -240,7 +240,7 @@ def _growth(model: Model, data: Data, at: Evaluation, step: Array) -> Array:
     change = model.powers @ (of_active[:, :powers] + 1j * of_active[:, powers : 2 * powers]).T
     before = now.participation[:, active]
     moved = np.exp(at.state.log_drive.real)[:, None] * np.abs(now.resonance[:, active])
-    seen = np.sum(data.root**2, axis=(1, 2))[:, None] * moved**2
+    seen = data.seen[:, None] * moved**2
     along = np.sum(seen * (before.conj() * change).real, axis=0)
     return np.asarray(np.clip(1 + along / np.sum(seen * np.abs(before) ** 2, axis=0), *_GROWTH))
 

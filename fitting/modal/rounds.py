@@ -26,8 +26,8 @@ from fitting.modal.model import (
     drive_prior_at,
     with_gain,
 )
-from fitting.modal.noise import Noise, balanced, correlated_holograms, data_of, inflated
-from fitting.modal.normal_equations import Data, Equations, Evaluation, equations, evaluate
+from fitting.modal.noise import Data, Noise, balanced, correlated_holograms, data_of, inflated
+from fitting.modal.normal_equations import Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
 from fitting.modal.out_of_phase import with_out_of_phase
 from fitting.modal.posterior import Posterior

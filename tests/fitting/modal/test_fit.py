@@ -31,8 +31,8 @@ from fitting.modal.model import (
     stage_prior,
     terms,
 )
+from fitting.modal.noise import Data
 from fitting.modal.normal_equations import (
-    Data,
     equations,
     evaluate,
     negative_gradient,

@@ -71,6 +71,7 @@ def minimise_all(
     iterations: int,
     damping: Damping,
     damped: int | None = None,
+    least_gain: float = 0.0,
 ) -> tuple[Array, Array]:
     """Take Levenberg-Marquardt steps in all problems; a step that increases the cost is undone.
 
@@ -86,6 +87,9 @@ def minimise_all(
     damping : Damping
     damped : int, optional
         Number of leading unknowns that are damped; all by default.
+    least_gain : float
+        Steps end early when in every problem one that was damped no more than the first step was
+        expected to lower the cost by less than this.
 
     Returns
     -------
@@ -98,15 +102,18 @@ def minimise_all(
     J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed., section 10.3. The factors on the
     damping are constants that the caller chooses, not functions of the gain ratio.
     """
-    x, here = start.copy(), equations(start)
-    terms = here.cost_terms.copy()
-    amount = np.full(len(x), damping.first)
+    x, here, ended = start.copy(), equations(start), np.zeros(len(start), bool)
+    terms, amount = here.cost_terms.copy(), np.full(len(x), damping.first)
     diagonal = np.arange(x.shape[1] if damped is None else damped)
     for remaining in reversed(range(iterations)):
-        matrix = here.matrix.copy()
-        added = amount * here.curvature / len(diagonal) + damping.constant
-        matrix[:, diagonal, diagonal] += added[:, None]
-        trial = x + np.linalg.solve(matrix, here.negative_gradient[..., None])[..., 0]
+        matrix, mean = here.matrix.copy(), here.curvature / len(diagonal)
+        matrix[:, diagonal, diagonal] += (amount * mean + damping.constant)[:, None]
+        step = np.linalg.solve(matrix, here.negative_gradient[..., None])[..., 0]
+        little = np.sum(step * here.negative_gradient, axis=1) < least_gain
+        ended |= little & (amount <= damping.first)
+        if np.all(ended):
+            break
+        trial = x + step
         # The last step needs no equations: they take most of the time.
         there = equations(trial) if remaining else None
         trial_terms = there.cost_terms if there else cost_terms(trial)

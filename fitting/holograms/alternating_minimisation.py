@@ -36,6 +36,8 @@ _SETTLED = 5.0
 # error: that one converges slowly, and the modal fit finds it. Chosen: twenty more such steps would
 # be one standard error.
 _STILL = 0.05
+# Rounding of products of columns of norm 1, and how often what it leaves is taken out again.
+_ROUNDING, _REFINED = 1e-14, 2
 # A hologram with a larger misfit is far from its noise.
 FAR = 30.0
 
@@ -108,7 +110,7 @@ def alternating_step(sweep: Sweep, at: Solution) -> tuple[Solution, FieldStep]:
     precise = with_weights_of(middle(sweep.exact, now, half.within), half.weighed)
     linear = linearise(precise, sweep.smooth, now.object_field, now.amplitude, now.gain, weight)
     x = np.concatenate([now.amplitude.real, now.amplitude.imag, now.gain[:, None]], axis=1)
-    step = field_step(linear, held, x, weight, common=sweep.common)
+    step = field_step(linear, held, x, common=sweep.common)
     # Holograms in a wrong fringe can make the step too long for the linearisation: it is cut.
     largest = float(np.abs(log_field_factor(sweep.smooth, step.move)).max())
     fraction = min(1.0, _LARGEST_STEP / max(largest, 1e-12))
@@ -286,14 +288,28 @@ def moved_alone(before: ComplexArray, now: ComplexArray, step: FieldStep, seen: 
     # Noise of variance 1 has half of it in either part.
     information = 2 * np.einsum("kii->ki", normal.matrix)[:, : 2 * size]
     errors = np.sqrt(information / np.maximum(normal.misfit / seen, 1)[:, None])
-    move = np.concatenate([(now - before).real, (now - before).imag], axis=1)[..., None]
-    both = errors[..., None] * np.concatenate([move, step.common_mode.response], axis=2)
+    move = np.concatenate([(now - before).real, (now - before).imag], axis=1)
     turned = errors * np.concatenate([-now.imag, now.real], axis=1)
     turned /= np.maximum(np.linalg.norm(turned, axis=1), 1e-12)[:, None]
-    both -= turned[..., None] * (turned[:, None] @ both)
-    moved, common = both[..., 0].ravel(), both[..., 1:].reshape(move.size, -1)
-    left = moved - common @ np.linalg.lstsq(common, moved, rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2)))
+    moved = errors * move
+    moved -= turned * np.sum(turned * moved, axis=1)[:, None]
+    common = errors[..., None] * step.common_response
+    common -= turned[..., None] * (turned[:, None] @ common)
+    return _left(common.reshape(move.size, -1), moved.ravel()) / float(np.sqrt(move.size))
+
+
+def _left(columns: Array, values: Array) -> float:
+    """Return the norm of what is left of values (n,) when combinations of columns are taken out.
+
+    By normal equations of columns of equal norm, some times: each takes out what rounding has left.
+    """
+    scale = 1 / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    curvature, axes = np.linalg.eigh(scale[:, None] * (columns.T @ columns) * scale)
+    inverse = np.where(curvature > _ROUNDING, 1 / np.maximum(curvature, _ROUNDING), 0)
+    for _ in range(_REFINED):
+        onto = axes.T @ (scale * (columns.T @ values))
+        values = values - columns @ (scale * (axes @ (inverse * onto)))
+    return float(np.linalg.norm(values))
 
 
 def whole_misfit(misfit: Array, seen: Array) -> float:

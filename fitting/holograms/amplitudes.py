@@ -17,6 +17,9 @@ _SLOW = 3.0
 LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
 FINAL_RAD = 10.0
+# Steps end when they are expected to gain less, in half of χ²: all coordinates together are then
+# off by a tenth of a standard error.
+_LEAST_GAIN = 5e-3
 # Chosen by hand; no study of other values is kept.
 _DAMPING = Damping(first=1e-3, after_gain=0.2, after_loss=6, constant=1e-3, largest=1e6)
 
@@ -76,7 +79,9 @@ def fit_amplitudes(
         return with_prior_cost(misfits(problem, object_field, steps, a, x[:, -1]), x)
 
     x0 = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
-    x, (misfit, _) = minimise_all(equations, cost_terms, x0, iterations, _DAMPING, damped=2 * size)
+    x, (misfit, _) = minimise_all(
+        equations, cost_terms, x0, iterations, _DAMPING, 2 * size, _LEAST_GAIN
+    )
     return x[:, :size] + 1j * x[:, size:-1], x[:, -1], misfit
 
 

@@ -9,12 +9,14 @@ displacements of all holograms follow it. The remaining uncertainty of the facto
 common-mode error; the modal fit reduces it, because modes have real shapes.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.holograms.linearisation import Local
+from fitting.holograms.linearisation import Local, triangle, write_symmetric
 from fitting.holograms.problem import (
     Normal,
     Problem,
@@ -61,26 +63,132 @@ class CommonModeError:
 
 
 @dataclass(frozen=True)
+class _Side:
+    """What one sideband says of the object field, for all holograms.
+
+    Attributes
+    ----------
+    rows : (2, 2, k, n) float
+        Products of the derivatives of the block amplitudes by real and imaginary displacement with
+        those by log magnitude and phase of the object field.
+    shown : (k, n) float
+        Power of the block amplitudes.
+    eliminated : tuple of (k, 2j), (k, 2j) and (k, c) float, optional
+        Elements between amplitudes and the free brightness and phase of each hologram, and those of
+        the coefficients of the field, in units of the power; None for the first sideband.
+    """
+
+    rows: Array
+    shown: Array
+    eliminated: tuple[Array, Array, Array] | None = None
+
+
+@dataclass(frozen=True)
 class LinearisedSweep:
     """Block amplitudes linearised in displacements, gains and the object field's smooth factor.
+
+    Products with the largest matrices are found without them: matrices themselves are set up when
+    they are asked for.
 
     Attributes
     ----------
     normal : Normal
         Normal equations of each of k holograms.
-    coupling : (k, 2j + 1, 2c) float
-        Elements of the normal matrix between the unknowns of a hologram and the coefficients of
-        the log factor: of its magnitude, then of its phase.
-    field_matrix : (k, c, c) float
-        Normal matrix of the coefficients, of weighted holograms: of the magnitude as of the phase.
     field_gradient : (k, 2c) float
-        Negative gradient, of weighted holograms.
+        Negative gradient of the coefficients of the log factor (of its magnitude, then of its
+        phase), of weighted holograms.
+    functions, smooth : (n, j) and (n, c) float
+    weight : (k,) float
+    sides : sequence of _Side
+        First sideband, then the others.
     """
 
     normal: Normal
-    coupling: Array
-    field_matrix: Array
     field_gradient: Array
+    functions: Array
+    smooth: Array
+    weight: Array
+    sides: Sequence[_Side]
+
+    @cached_property
+    def coupling(self) -> Array:
+        """Elements (k, 2j + 1, 2c) of the normal matrix between holograms and coefficients."""
+        size, count = self.functions.shape[1], self.smooth.shape[1]
+        products = (self.functions[:, :, None] * self.smooth[:, None, :]).reshape(
+            len(self.functions), -1
+        )
+        coupling = np.zeros((len(self.weight), 2 * size + 1, 2 * count))
+        coupling[:, -1, :count] = self.sides[0].shown @ self.smooth
+
+        def fill(some: slice) -> None:
+            for side in self.sides:
+                rows = side.rows[:, :, some]
+                # One product: its time is that of reading the products of functions.
+                blocks = rows.reshape(-1, len(products)) @ products
+                # From (2, 2, s, j c) to amplitudes, then coefficients of magnitude and phase.
+                blocks = blocks.reshape(*rows.shape[:3], size, count).transpose(2, 0, 3, 1, 4)
+                coupling[some, :-1] += blocks.reshape(rows.shape[2], 2 * size, 2 * count)
+                if side.eliminated is not None:
+                    of_gain, of_phase, field = (each[some] for each in side.eliminated)
+                    coupling[some, :-1, :count] -= of_gain[:, :, None] * field[:, None]
+                    coupling[some, :-1, count:] -= of_phase[:, :, None] * field[:, None]
+
+        map_threads(fill, len(self.weight))
+        return coupling
+
+    @cached_property
+    def field_matrix(self) -> Array:
+        """Normal matrix (k, c, c) of the coefficients, of weighted holograms.
+
+        It is that of the magnitude, and that of the phase.
+        """
+        one, other = triangle(self.smooth.shape[1])
+        pairs = self.smooth[:, one] * self.smooth[:, other]
+        found = np.empty((len(self.weight), *2 * (self.smooth.shape[1],)))
+        write_symmetric(found, self._power @ pairs)
+        for common, eliminated in self._free:
+            found -= common[:, :, None] * eliminated[:, None]
+        return found
+
+    @property
+    def whole_field_matrix(self) -> Array:
+        """Sum (c, c) of `field_matrix` over holograms."""
+        found: Array = self.smooth.T @ (self._power.sum(axis=0)[:, None] * self.smooth)
+        for common, eliminated in self._free:
+            found = found - common.T @ eliminated
+        return found
+
+    @property
+    def _power(self) -> Array:
+        power: Array = np.sum([side.shown for side in self.sides], axis=0)
+        return self.weight[:, None] * power
+
+    @property
+    def _free(self) -> list[tuple[Array, Array]]:
+        """What the free brightness and phase of other sidebands take, as products (k, c)."""
+        return [
+            (self.weight[:, None] * (side.shown @ self.smooth), side.eliminated[2])
+            for side in self.sides
+            if side.eliminated is not None
+        ]
+
+    def on_field(self, holograms: Array) -> Array:
+        """Return the products (k, 2c) of `coupling` with changes of holograms (k, 2j + 1)."""
+        size = self.functions.shape[1]
+        moved = [holograms[:, :size] @ self.functions.T, holograms[:, size:-1] @ self.functions.T]
+        onto = np.zeros((2, *self.sides[0].shown.shape))
+        onto[0] = holograms[:, -1:] * self.sides[0].shown
+        eliminated = np.zeros((len(holograms), 2 * self.smooth.shape[1]))
+        for side in self.sides:
+            onto += side.rows[0] * moved[0] + side.rows[1] * moved[1]
+            if side.eliminated is not None:
+                of_gain, of_phase, field = side.eliminated
+                louder, turned = (
+                    np.sum(each * holograms[:, :-1], axis=1)[:, None] * field
+                    for each in (of_gain, of_phase)
+                )
+                eliminated += np.concatenate([louder, turned], axis=1)
+        return np.concatenate([each @ self.smooth for each in onto], axis=1) - eliminated
 
 
 def smooth_functions(x_m: Array, y_m: Array) -> Array:
@@ -127,67 +235,39 @@ def linearise(
     weight : (k,) float
         Weight of each hologram in the equations of the object field.
     """
-    functions, count = problem.functions, smooth.shape[1]
-    size = functions.shape[1]
-    products = (functions[:, :, None] * smooth[:, None, :]).reshape(len(functions), -1)
-    pairs = (smooth[:, :, None] * smooth[:, None, :]).reshape(len(smooth), -1)
-    normal = Normal.empty(len(a), size)
-    coupling = np.zeros((len(a), 2 * size + 1, 2 * count))
-    field_matrix = np.zeros((len(a), count, count))
+    normal = Normal.empty(len(a), problem.functions.shape[1])
 
-    def fill(some: slice) -> tuple[Array, Array]:
+    def fill(some: slice) -> tuple[list[_Side], Array, Array]:
         steps = np.arange(len(a))[some]
         here, others = fill_normal(normal, some, problem, object_field, steps, a[some], gain[some])
-        first = _field_terms(here, products, count, weight[some])
-        coupling[some, :-1] = first.coupling
-        coupling[some, -1, :count] = first.shown @ smooth
-        power = weight[some, None] * first.shown
-        louder, turned = first.louder, first.turned
-        free = np.zeros((len(steps), count, count))
+        first, louder, turned = _of_field(here, weight[some])
+        sides = [first]
         for other in others:
-            trust = weight[some] * other.present
-            seen = _field_terms(other.here, products, count, trust)
+            present = other.present[:, None]
+            seen, *more = _of_field(other.here, weight[some] * other.present)
+            shown = present * seen.shown
             # Brightness and phase of these holograms are free: they are eliminated.
-            common = (other.present[:, None] * seen.shown) @ smooth
-            eliminated = common / other.known[:, None]
-            coupling[some, :-1] += other.present[:, None, None] * seen.coupling
-            coupling[some, :-1, :count] -= other.of_gain[:, :, None] * eliminated[:, None]
-            coupling[some, :-1, count:] -= other.of_phase[:, :, None] * eliminated[:, None]
-            free += (weight[some, None] * common)[:, :, None] * eliminated[:, None]
-            power, louder = power + trust[:, None] * seen.shown, louder + seen.louder
-            turned = turned + seen.turned
-        field_matrix[some] = (power @ pairs).reshape(free.shape) - free
-        return louder, turned
+            field = (shown @ smooth) / other.known[:, None]
+            free = other.of_gain, other.of_phase, field
+            sides.append(_Side(present * seen.rows, shown, free))
+            louder, turned = louder + more[0], turned + more[1]
+        return sides, louder, turned
 
-    parts = zip(*map_threads(fill, len(a)), strict=True)
-    field_gradient = np.concatenate([np.concatenate(each) @ smooth for each in parts], axis=1)
-    return LinearisedSweep(normal, coupling, field_matrix, field_gradient)
+    parts = map_threads(fill, len(a))
+    gradients = [np.concatenate([part[which] for part in parts]) @ smooth for which in (1, 2)]
+    sides = [_joined(each) for each in zip(*(part[0] for part in parts), strict=True)]
+    field_gradient = np.concatenate(gradients, axis=1)
+    return LinearisedSweep(normal, field_gradient, problem.functions, smooth, weight, sides)
 
 
-@dataclass(frozen=True)
-class _FieldTerms:
-    """Contribution of one sideband to the equations of the object field.
+def _of_field(here: Local, weight: Array) -> tuple[_Side, Array, Array]:
+    """Return what a sideband says of the object field of s holograms.
 
-    Attributes
-    ----------
-    coupling : (s, 2j, 2c) float
-        Elements of the normal matrix between amplitudes and coefficients of the log factor.
-    shown : (s, n) float
-        Power of the block amplitudes.
+    Returns
+    -------
+    side : _Side
     louder, turned : (s, n) float
         Negative gradients of log magnitude and phase, of weighted holograms.
-    """
-
-    coupling: Array
-    shown: Array
-    louder: Array
-    turned: Array
-
-
-def _field_terms(here: Local, products: Array, count: int, weight: Array) -> _FieldTerms:
-    """Compute the contribution of a sideband.
-
-    `products` (n, j c) are the functions times the c smooth functions.
     """
     square = (here.gain**2).astype(float)
     power = square * here.power
@@ -195,17 +275,24 @@ def _field_terms(here: Local, products: Array, count: int, weight: Array) -> _Fi
         here.uu * here.u + here.vu * here.v, here.vu * here.u - here.uu * here.v,
         here.uv * here.u + here.vv * here.v, here.vv * here.u - here.uv * here.v,
     )  # fmt: skip
-    # One product: its time is that of reading the products of functions.
-    blocks = np.concatenate([power * by for by in rows]) @ products
-    # From (2, 2, s, j c) to amplitudes, then coefficients of magnitude and phase.
-    blocks = blocks.reshape(2, 2, len(square), -1, count).transpose(2, 0, 3, 1, 4)
+    both = np.stack([power * each for each in rows]).reshape(2, 2, *power.shape)
     pulled = weight[:, None] * here.gain
-    return _FieldTerms(
-        coupling=blocks.reshape(len(square), -1, 2 * count),
-        shown=square * (here.u * here.u + here.v * here.v) * here.power,
-        louder=pulled * (here.u * here.residual_u + here.v * here.residual_v),
-        turned=pulled * (here.u * here.residual_v - here.v * here.residual_u),
+    return (
+        _Side(both, square * (here.u * here.u + here.v * here.v) * here.power),
+        pulled * (here.u * here.residual_u + here.v * here.residual_v),
+        pulled * (here.u * here.residual_v - here.v * here.residual_u),
     )
+
+
+def _joined(parts: Sequence[_Side]) -> _Side:
+    """Join what a sideband says of some of the holograms, and of others."""
+    free = [part.eliminated for part in parts if part.eliminated is not None]
+    eliminated = None
+    if free:
+        of_gain, of_phase, field = (np.concatenate(each) for each in zip(*free, strict=True))
+        eliminated = of_gain, of_phase, field
+    rows = np.concatenate([part.rows for part in parts], axis=2)
+    return _Side(rows, np.concatenate([part.shown for part in parts]), eliminated)
 
 
 def field_factor(smooth: Array, move: Array) -> NDArray[np.complex64]:
@@ -240,20 +327,78 @@ class FieldStep:
         See `field_factor`.
     holograms : (k, 2j + 1) float
         Changes of amplitudes and log gains.
-    common_mode : CommonModeError
-        Uncertainty of the factor and its effect on the displacements.
     linear : LinearisedSweep
         The equations that were solved.
+    held : (2j + 1, 2j + 1) float
+        Half the prior precision of amplitudes and log gains around 0.
+    alone : (k, 2j + 1) float
+        Changes of amplitudes and log gains where the factor stays as it is.
     """
 
     move: Array
     holograms: Array
-    common_mode: CommonModeError
     linear: LinearisedSweep
+    held: Array
+    alone: Array
+
+    @cached_property
+    def reply(self) -> Array:
+        """Changes (k, 2j + 1, q) of holograms against which the factor's coefficients are held."""
+        reply: Array = np.linalg.solve(self.linear.normal.matrix + self.held, self._coupling)
+        return reply
+
+    @cached_property
+    def curvature(self) -> Array:
+        """Half the inverse covariance (q, q) of the factor, without its prior."""
+        linear, coupling = self.linear, self._coupling
+        count, whole = linear.smooth.shape[1], linear.whole_field_matrix
+        field = np.zeros((2 * count, 2 * count))
+        field[:count, :count] = field[count:, count:] = whole
+        # One product of matrices, over holograms and their unknowns.
+        weighed = (linear.weight[:, None, None] * coupling).reshape(-1, coupling.shape[2])
+        taken = weighed.T @ self.reply.reshape(weighed.shape)
+        kept = _kept(count)
+        schur: Array = field[np.ix_(kept, kept)] - 0.5 * (taken + taken.T)
+        return schur
+
+    @property
+    def common_response(self) -> Array:
+        """Response of `common_mode`."""
+        return -self.reply[:, :-1]
+
+    @cached_property
+    def common_mode(self) -> CommonModeError:
+        """Uncertainty of the factor and its effect on the displacements."""
+        linear, coupling = self.linear, self._coupling
+        count = linear.smooth.shape[1]
+        kept, weight = _kept(count), linear.weight
+        schur = -weight[:, None, None] * (coupling.swapaxes(1, 2) @ self.reply)
+        magnitude, phase = slice(count), slice(count, None)
+        schur[:, magnitude, magnitude] += linear.field_matrix
+        schur[:, phase, phase] += linear.field_matrix[:, 1:, 1:]
+        force = linear.field_gradient[:, kept] - weight[:, None] * np.einsum(
+            "kxc,kx->kc", coupling, self.alone
+        )
+        # Half the precision: the misfit, of noise of variance 1, is half of χ².
+        return CommonModeError(-self.reply[:, :-1], schur + schur.swapaxes(1, 2), 2 * force)
+
+    @cached_property
+    def _coupling(self) -> Array:
+        coupling: Array = self.linear.coupling[:, :, _kept(self.linear.smooth.shape[1])]
+        return coupling
+
+
+def _kept(count: int) -> IndexArray:
+    """Return the coefficients without the constant of the phase, which is arbitrary."""
+    return np.delete(np.arange(2 * count), count)
 
 
 def field_step(
-    linear: LinearisedSweep, held: Array, x: Array, weight: Array, *, common: bool = True
+    linear: LinearisedSweep,
+    held: Array,
+    x: Array,
+    *,
+    common: bool = True,
 ) -> FieldStep:
     """Solve for the change of the object field's factor and of all holograms.
 
@@ -264,29 +409,19 @@ def field_step(
         Half the prior precision of amplitudes and log gains around 0.
     x : (k, 2j + 1) float
         Amplitudes (real, then imaginary parts) and log gains.
-    weight : (k,) float
-        As in `linearise`.
     common : bool
         Whether the factor changes; if not, holograms alone do.
     """
-    count = linear.field_gradient.shape[1] // 2
-    kept = np.delete(np.arange(2 * count), count)
-    coupling = linear.coupling[:, :, kept]
-    field_matrix = np.zeros((len(coupling), 2 * count, 2 * count))
-    for half in (slice(count), slice(count, None)):
-        field_matrix[:, half, half] = linear.field_matrix
-    pull = linear.normal.gradient - x @ held
-    reply = np.linalg.solve(
-        linear.normal.matrix + held, np.concatenate([coupling, pull[..., None]], axis=2)
-    )
-    response, alone = reply[:, :, :-1], reply[:, :, -1]
-    schur = field_matrix[:, kept][:, :, kept] - weight[:, None, None] * (
-        coupling.swapaxes(1, 2) @ response
-    )
-    force = linear.field_gradient[:, kept] - np.einsum("kxc,kx,k->kc", coupling, alone, weight)
-    # Half the precision: the misfit, of noise of variance 1, is half of χ².
-    common_mode = CommonModeError(-response[:, :-1], schur + schur.swapaxes(1, 2), 2 * force)
-    held_back = 0.5 * common_mode.whole + 0.5 * _STEP**-2 * np.eye(len(kept))
-    found = np.linalg.solve(held_back, force.sum(axis=0))
-    move = found if common else np.zeros_like(found)
-    return FieldStep(move, alone - response @ move, common_mode, linear)
+    count, matrix = linear.smooth.shape[1], linear.normal.matrix + held
+    kept, pull = _kept(count), linear.normal.gradient - x @ held
+    alone = np.linalg.solve(matrix, pull[..., None])[..., 0]
+    step = FieldStep(np.zeros(len(kept)), alone, linear, held, alone)
+    if not common:
+        return step
+    of_holograms = linear.weight @ linear.on_field(alone)
+    force = (linear.field_gradient.sum(axis=0) - of_holograms)[kept]
+    # Half of the precisions of the prior, and of what holds a step back.
+    weak = 0.5 * (_LOOSE**-2 + _STEP**-2) * np.eye(len(kept))
+    move = np.zeros(2 * count)
+    move[kept] = np.linalg.solve(step.curvature + weak, force)
+    return replace(step, move=move[kept], holograms=alone - step.reply @ move[kept])

@@ -52,6 +52,8 @@ SAME_FRINGE = 0.2
 # ... by which two starts may differ: each may be off by that tenth, in opposite directions. Chosen:
 # halfway from there to the next fringe.
 _SAME_START = 0.26
+# ... and trials that have led to the same solution: a part that is small next to the noise of most.
+_SAME_SOLUTION = 0.01
 # Part of the holograms with fringes in which two starts that agree may differ: chosen.
 _MOST_DIFFER = 0.2
 # Least gain in log likelihood of another solution: odds of 150 to 1.
@@ -238,20 +240,48 @@ def _field_at(at: Solution, steps: IndexArray) -> tuple[Complex64Array, NDArray[
 def _solved(
     few: Problem, at: Solution, steps: IndexArray, starts: ComplexArray
 ) -> tuple[ComplexArray, Array, Array]:
-    """Solve holograms from starts (s, j); return amplitudes, log gains and costs (s,)."""
-    field, variance = _field_at(at, steps)
-    each = np.arange(len(steps))
-    a, gain = few.turned(field, each, starts), np.zeros(len(steps), float)
+    """Solve a hologram from starts (s, j); return amplitudes, log gains and costs.
+
+    Of starts that lead to the same solution, one is followed to the end.
+
+    Parameters
+    ----------
+    few : Problem
+        With the hologram once for each start.
+    at : Solution
+    steps : (s,) int
+        Number of the hologram in the solution, for each start.
+    starts : (s, j) complex
+    """
+    a, gain = (
+        few.turned(_field_at(at, steps)[0], np.arange(len(steps)), starts),
+        np.zeros(len(steps), float),
+    )
     weak = FINAL_RAD**-2 * np.eye(starts.shape[1])
     positions = None
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
+        field, variance = _field_at(at, steps)
         there = Solution(a, gain, field, variance, positions)
         trial = weighed(middle(few, there), there)
-        a, gain, _ = fit_amplitudes(trial, field, each, (a, gain), _ITERATIONS, weak)
+        each = np.arange(len(steps))
+        a, gain, left = fit_amplitudes(trial, field, each, (a, gain), _ITERATIONS, weak)
         gain = np.clip(gain, -MOST_GAIN, MOST_GAIN)
         # Far from a solution, the change within a block means nothing.
         positions = at.positions
+        if not turn:
+            own = _distinct(a, left)
+            few, steps, a, gain = few.some(own), steps[own], a[own], gain[own]
+    field, variance = _field_at(at, steps)
     return a, gain, cost(few, Solution(a, gain, field, variance, positions))
+
+
+def _distinct(a: ComplexArray, left: Array) -> IndexArray:
+    """Return which of the amplitudes (s, j) are different, of equal ones that with least `left`."""
+    own = list[int]()
+    for number in np.argsort(left):
+        if not np.any(same_fringe(a[own], a[number], _SAME_SOLUTION)):
+            own.append(int(number))
+    return np.array(own, np.intp)
 
 
 def _starts(amplitude: ComplexArray, number: int, good: IndexArray) -> ComplexArray:

@@ -58,3 +58,18 @@ def test_a_problem_does_not_depend_on_the_others():
     changed[1:] = 0.5
     other, _ = minimise_all(equations, cost_terms, changed, 5, DAMPING)
     np.testing.assert_array_equal(together[0], other[0])
+
+
+def test_steps_end_when_they_are_expected_to_gain_little():
+    counted = []
+
+    def counting(x):
+        counted.append(None)
+        return equations(x)
+
+    start = np.tile([1.0, 0.1, 0.0], (3, 1))
+    x, terms = minimise_all(counting, cost_terms, start, 60, DAMPING, least_gain=1e-6)
+    assert len(counted) < 60
+    np.testing.assert_array_equal(terms, cost_terms(x))
+    all_steps, _ = minimise_all(equations, cost_terms, start, 60, DAMPING)
+    assert cost_terms(x) == pytest.approx(cost_terms(all_steps), abs=1e-5)

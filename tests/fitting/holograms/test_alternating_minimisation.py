@@ -12,7 +12,7 @@ from fitting.holograms.alternating_minimisation import (
     moved_alone,
     settled,
 )
-from fitting.holograms.object_field import CommonModeError, FieldStep
+from fitting.holograms.object_field import FieldStep
 from tests.fitting.holograms.test_displacement import complex_normal
 from tests.fitting.holograms.test_object_field import FUNCTIONS, HOLOGRAMS, VALUES, Sweep
 
@@ -43,11 +43,9 @@ def thrown(monkeypatch):
         move = np.zeros(2 * sweep.smooth.shape[1] - 1)
         move[1] = log_factor / np.abs(sweep.smooth[:, 1]).max()
         holograms = np.full((HOLOGRAMS, 2 * FUNCTIONS + 1), change)
-        nothing = np.zeros((HOLOGRAMS, 2 * FUNCTIONS, 1))
-        shared = CommonModeError(nothing, np.eye(1), np.zeros((HOLOGRAMS, 1)))
 
-        def step(linear, held, x, weight, *, common):
-            return FieldStep(move, holograms, shared, linear)
+        def step(linear, held, x, *, common):
+            return FieldStep(move, holograms, linear, held, holograms)
 
         monkeypatch.setattr(settling, "field_step", step)
 

@@ -146,6 +146,24 @@ def test_couplings_are_products_of_derivatives(largest_rad):
     assert found[np.ix_(low, low)] == pytest.approx(square[np.ix_(low, low)], rel=1e-4)
 
 
+@pytest.mark.parametrize("largest_rad", [0.5, 9.0])
+def test_products_without_the_matrices_are_those_with_them(largest_rad):
+    linear, rng = Sweep(largest_rad).linear(), np.random.default_rng(6)
+    holograms = rng.standard_normal((HOLOGRAMS, 2 * FUNCTIONS + 1))
+    expected = np.einsum("kxc,kx->kc", linear.coupling, holograms)
+    assert linear.on_field(holograms) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    whole = linear.field_matrix.sum(axis=0)
+    assert linear.whole_field_matrix == pytest.approx(whole, abs=1e-10 * np.abs(whole).max())
+
+
+def test_a_step_uses_the_curvature_of_all_holograms_together():
+    sweep = Sweep(9.0)
+    x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
+    step = field_step(sweep.linear(), prior(), x)
+    whole = 0.5 * step.common_mode.precision.sum(axis=0)
+    assert step.curvature == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
+
+
 # --- Steps -------------------------------------------------------------------------------------
 
 
@@ -158,7 +176,7 @@ def test_a_step_takes_a_wrong_factor_back(monkeypatch):
     object_field = sweep.object_field * field_factor(sweep.smooth, wrong)
     linear = sweep.linear(object_field)
     x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-    step = field_step(linear, prior(), 0 * x, sweep.weight)
+    step = field_step(linear, prior(), 0 * x)
     assert step.move[[1, 9]] == pytest.approx([-0.004, 0.003], abs=3e-4)
     after = object_field * field_factor(sweep.smooth, step.move)
     y = sweep.a + step.holograms[:, :FUNCTIONS] + 1j * step.holograms[:, FUNCTIONS : 2 * FUNCTIONS]
@@ -174,8 +192,8 @@ def test_the_pull_of_holograms_goes_where_the_search_would(monkeypatch, common):
     wrong[[1, 9]] = 0.004, -0.003
     linear = sweep.linear(sweep.object_field * field_factor(sweep.smooth, wrong))
     x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-    free = field_step(linear, prior(), x, sweep.weight)
-    step = field_step(linear, prior(), x, sweep.weight, common=common)
+    free = field_step(linear, prior(), x)
+    step = field_step(linear, prior(), x, common=common)
     shared = step.common_mode
     assert shared.pull.shape == (HOLOGRAMS, VALUES)
     assert free.move == pytest.approx(np.linalg.solve(shared.whole, shared.pull.sum(axis=0)))
@@ -194,7 +212,8 @@ def test_the_phase_of_smooth_light_is_never_determined_and_its_magnitude_only_by
     for largest_rad in (0.3, 9.0):
         sweep = Sweep(largest_rad, noise=0.0)
         x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-        shared = field_step(sweep.linear(), prior(gain=1e4), x, np.ones(HOLOGRAMS)).common_mode
+        sweep.weight = np.ones(HOLOGRAMS)
+        shared = field_step(sweep.linear(), prior(gain=1e4), x).common_mode
         assert shared.response.shape == (HOLOGRAMS, 2 * FUNCTIONS, VALUES)
         # A constant factor of the magnitude: the displacements absorb it completely while small.
         known.append(shared.whole[0, 0])
@@ -212,7 +231,7 @@ def test_precision_gives_how_far_light_may_be_off(monkeypatch):
         sweep = Sweep(3.0, seed=seed)
         sweep.weight = np.ones(HOLOGRAMS)
         x = np.concatenate([sweep.a.real, sweep.a.imag, sweep.gain[:, None]], axis=1)
-        step = field_step(sweep.linear(), prior(gain=1e6), 0 * x, sweep.weight)
+        step = field_step(sweep.linear(), prior(gain=1e6), 0 * x)
         eigenvalues, vectors = np.linalg.eigh(step.common_mode.whole)
         # What the data do not tell is held by the prior.
         sure = eigenvalues > 30

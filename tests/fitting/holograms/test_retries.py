@@ -195,3 +195,24 @@ def test_the_likelier_of_steady_and_unsteady_light_is_kept(sweep, found, monkeyp
     loose = replace(found, gain_nepers=0.12)
     assert _with_steady_light(level, loose) is loose
     assert next(costs, None) is None
+
+
+def test_trials_that_have_led_to_the_same_solution_are_followed_once(problem, found, monkeypatch):
+    number, sizes, solve = int(LOST[3]), [], retries.fit_amplitudes
+
+    def counted(few, field, steps, start, iterations, prior):
+        sizes.append(len(steps))
+        return solve(few, field, steps, start, iterations, prior)
+
+    monkeypatch.setattr(retries, "fit_amplitudes", counted)
+    at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    amplitude = found.amplitude_rad.copy()
+    amplitude[number] *= 0.3
+    there, better = retries.tried_again(
+        problem, replace(at, amplitude=amplitude), np.array([number])
+    )
+    assert list(better) == [number]
+    assert same_fringe(there.amplitude[number], found.amplitude_rad[number])
+    first, *later = sizes[:3]
+    assert first == 20
+    assert max(later) < first / 2

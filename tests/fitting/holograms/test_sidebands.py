@@ -260,6 +260,12 @@ def test_light_is_coupled_to_displacement_with_brightness_and_phase_free(order):
     # A hologram that is not there couples nothing.
     assert with_it.coupling[2] == pytest.approx(without.coupling[2])
     # The same for magnitude and phase, and nothing between the two.
+    changes = np.random.default_rng(5).standard_normal(with_it.coupling.shape[:2])
+    products = np.einsum("kxc,kx->kc", with_it.coupling, changes)
+    size = np.abs(products).max()
+    assert with_it.on_field(changes) == pytest.approx(products, abs=1e-9 * size)
+    summed = with_it.field_matrix.sum(axis=0)
+    assert with_it.whole_field_matrix == pytest.approx(summed, abs=1e-9 * np.abs(summed).max())
     found = np.kron(np.eye(2), np.sum(with_it.field_matrix - without.field_matrix, axis=0))
     assert found == pytest.approx(matrix, abs=1e-3 * np.abs(matrix).max())
 

@@ -22,16 +22,18 @@ _CHAMBERS, _SEED = 200, 20260917
 # Standard deviations of where a reed lies across the table, put there by hand, and of dimensions
 # of the window that are measured with a ruler.
 _PLACED_M, _RULER_M = 0.3e-3, 0.5e-3
-# Least share of that, and of what differs from left to right in a chamber: one that was turned on a
-# lathe, with a reed put in the middle under a magnifying glass.
+# Least fraction of that, and of what differs from left to right in a chamber. Chosen: 0.01 mm for
+# the reed, as under a magnifying glass, and as symmetric a chamber.
 _EVEN = 0.03
-# Largest part of a wave that travels: the tip reflects at least a third of the sound that reaches
-# it. An open slit of 1 mm at the end of a chamber 10 mm high reflects four fifths.
+# Largest part of a wave that travels: (1 - R) / (1 + R) for an end that reflects R of
+# the pressure. Chosen: R of a third; an open slit of 1 mm at the end of a duct 10 mm high reflects
+# (10 - 1) / (10 + 1), four fifths.
 _MOST_TRAVELLING = 0.5
-# Standard deviation of each part of the pressure on the bark side, of that at the tip: sound that
-# passes through gaps and around the mouthpiece is weaker by some 20 dB.
+# Standard deviation of each part of the pressure on the bark side, of that at the tip. Chosen:
+# sound that passes through gaps and around the mouthpiece is weaker by 17 dB.
 _BEHIND = 0.1
 # Factor by which the distance over which the pressure falls at a wall may be larger or smaller.
+# Chosen: the gap between reed and walls is not measured.
 _EDGE = 2.0
 # Share of smooth products over the window and over frequency, and their degrees along and across.
 # Chosen: a chamber with corners, and walls that give.
@@ -119,6 +121,7 @@ def _drawn(points: _Points, chamber: Chamber, hz: Array, rng: np.random.Generato
         edge_m=chamber.edge_m * _EDGE ** rng.uniform(-1, 1),
         # From a reed that closes the rails to one that is warped.
         rail_leak=rng.uniform(),
+        # A wave that travels the other way has the conjugate pressure: its forces are as large.
         travelling=rng.uniform(0, _MOST_TRAVELLING),
     )
     uneven = _EVEN ** rng.uniform()

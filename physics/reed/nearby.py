@@ -20,8 +20,8 @@ from physics.reed.reduced.reed import ReducedReed
 from physics.reed.reduced.vibrations import (
     Group,
     Vibrations,
-    alike,
     mass_forms,
+    same_shapes,
     settled,
     together,
     vibrations,
@@ -201,7 +201,7 @@ def _certain(
         return None
     order = below[np.argsort(hz[below], kind="stable")]
     hz, x = hz[order], x[:, order]
-    if len(hz) and np.any(alike(full, hz, x)):
+    if len(hz) and np.any(same_shapes(full, hz, x)):
         return None
     return Group(own, full, hz, x / np.sqrt(mass_forms(full, hz, x)))
 

@@ -278,7 +278,7 @@ def _modes(
         return np.zeros(0), vectors[:, :0]
     hz, w, near = _followed(dynamics, eigenvalues, vectors, count)
     hz, w, done = settled(dynamics, hz, w)
-    good = done & near & (hz < below_hz) & ~alike(dynamics, hz, w)
+    good = done & near & (hz < below_hz) & ~same_shapes(dynamics, hz, w)
     if not good.all():
         hz, w = hz[good], w[:, good]
         missing = set(range(count)) - set(_ranks(dynamics, unit, hz))
@@ -368,7 +368,7 @@ def _diagonal(matrices: Array) -> Array:
     )
 
 
-def alike(dynamics: Dynamics, hz: Array, w: Array) -> NDArray[np.bool_]:
+def same_shapes(dynamics: Dynamics, hz: Array, w: Array) -> NDArray[np.bool_]:
     """Which shapes (n, m) are also those of another mode."""
     similarity = np.abs(w.T @ _stiffness_and_mass(dynamics, hz[:1])[1][0] @ w)
     size = np.sqrt(np.diag(similarity))

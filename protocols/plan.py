@@ -63,12 +63,7 @@ class Plan:
     @property
     def sequence(self) -> tuple[int, ...]:
         """Positions of the steps in the order of measurement."""
-        places = list(range(len(self.steps)))
-        if self.protocol.sweep.direction == "down":
-            places.reverse()
-        elif self.protocol.sweep.direction == "shuffled":
-            random.Random(_SHUFFLE).shuffle(places)
-        return tuple(places)
+        return planned_sequence(self.protocol, len(self.steps))
 
     @property
     def frame_shape(self) -> tuple[int, int]:
@@ -182,6 +177,16 @@ class Plan:
             "packed_size_bytes": self.packed_size_bytes,
             "violations": [{"key": v.key, "message": v.message} for v in self.violations],
         }
+
+
+def planned_sequence(protocol: Protocol, steps: int) -> tuple[int, ...]:
+    """Return the positions of a number of steps in the order of measurement."""
+    places = list(range(steps))
+    if protocol.sweep.direction == "down":
+        places.reverse()
+    elif protocol.sweep.direction == "shuffled":
+        random.Random(_SHUFFLE).shuffle(places)
+    return tuple(places)
 
 
 def make_plan(protocol: Protocol, bench: BenchFile) -> Plan:

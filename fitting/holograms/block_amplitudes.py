@@ -19,6 +19,8 @@ from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import map_threads
 from holography.arrays import Array, Complex64Array
 from physics.reed.geometry import half_width_m
+from protocols.plan import planned_sequence
+from protocols.protocol import Protocol
 from runs.reader import Run
 from runs.records import StepRecord
 
@@ -129,6 +131,8 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     ------
     FitError
         If too few steps are good. The message lists the verdicts of the others.
+    ProtocolError
+        If the protocol of a run that was interrupted cannot be read.
     RunFileError
         If a step cannot be read.
     """
@@ -144,7 +148,7 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         y_m=np.sum(light * blocks.y_m, axis=1),
         size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
         step_index=np.array([step.index for step in steps]),
-        recording_rank=np.argsort(np.argsort([step.position for step in steps])),
+        recording_rank=_recording_rank(run, steps),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
         others=_split(others, value[:, len(steps) :], len(steps)),
@@ -152,6 +156,19 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         if unshifted is None
         else _unshifted_amplitudes(unshifted, steps, blocks, right),
     )
+
+
+def _recording_rank(run: Run, steps: Sequence[StepRecord]) -> NDArray[np.intp]:
+    """Return the rank (k,) of steps in the order of recording.
+
+    The camera's clock tells it, unless the camera was started again during the run: its clock may
+    then have begun again, and the planned order is taken.
+    """
+    if not run.interruptions:
+        return np.argsort(np.argsort([step.timestamps_s[0] for step in steps]))
+    protocol = Protocol.from_text(run.protocol_text, f"{run.path}: protocol")
+    place = np.argsort(planned_sequence(protocol, len(run.steps)))
+    return np.argsort(np.argsort(place[[step.position for step in steps]]))
 
 
 def _others(run: Run, steps: Sequence[StepRecord]) -> dict[int, dict[int, StepRecord]]:

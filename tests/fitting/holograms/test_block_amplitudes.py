@@ -1,6 +1,7 @@
 """Block amplitudes of planted matrices of rank one, and of run files made for the test."""
 
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
@@ -324,6 +325,55 @@ def test_a_run_that_kept_frames_gives_the_same_phasors(tmp_path):
     assert kept.y_m == pytest.approx(held.y_m, abs=1e-9)
     # Fields are kept in half the digits of single precision at most.
     assert np.abs(kept.value) == pytest.approx(np.abs(held.value), rel=0.01, abs=0.02)
+
+
+# --- Order of recording ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def shuffled(tmp_path_factory):
+    """Plan and run file of sixteen holograms that were recorded in another order."""
+    small = {"camera.width": 320, "camera.height": 256, "sweep.first": 14, "sweep.last": 44}
+    protocol = acquire.load("quick").replace({**small, "sweep.direction": "shuffled"})
+    plan, path = acquire.plan(protocol).plan, tmp_path_factory.mktemp("order") / "shuffled.h5"
+    acquire.run(plan, path, reed="R07", seed=3)
+    return plan, path
+
+
+def test_holograms_rank_in_the_order_of_recording(shuffled):
+    plan, path = shuffled
+    found = read(path)
+    assert sorted(plan.sequence) == list(range(16))
+    assert list(plan.sequence) != sorted(plan.sequence)
+    assert (np.diff(found.drive_hz) > 0).all()
+    assert np.argsort(found.recording_rank).tolist() == list(plan.sequence)
+
+
+def test_a_hologram_that_is_recorded_again_ranks_last(shuffled, tmp_path, resealed):
+    plan, path = shuffled
+    again = plan.sequence[3]
+    with resealed(Path(shutil.copy(path, tmp_path / "again.h5"))) as file:
+        stamps = file["entry/steps/timestamp_s"]
+        stamps[again] = stamps[()].max() + 1 + np.arange(4)
+    expected = [*(place for place in plan.sequence if place != again), again]
+    assert np.argsort(read(tmp_path / "again.h5").recording_rank).tolist() == expected
+
+
+def test_a_clock_that_begins_again_with_a_continued_run_is_not_believed(
+    shuffled, tmp_path, resealed
+):
+    plan, path = shuffled
+    with resealed(Path(shutil.copy(path, tmp_path / "continued.h5"))) as file:
+        stamps, later = file["entry/steps/timestamp_s"], np.array(plan.sequence[7:])
+        shifted = stamps[()]
+        shifted[later] -= shifted[later].min()
+        stamps[...] = shifted
+        rows = file["entry/interruptions"]
+        rows["position"][0] = min(later)
+        for key, text in (("kind", "resumed"), ("began", "?"), ("ended", "?"), ("reason", "?")):
+            rows[key][0] = text
+    found = read(tmp_path / "continued.h5")
+    assert np.argsort(found.recording_rank).tolist() == list(plan.sequence)
 
 
 # --- Other sidebands ---------------------------------------------------------------------------

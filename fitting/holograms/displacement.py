@@ -325,7 +325,7 @@ def refit_displacements(
 
     Holograms that are not explained are tried in the light that all others show, in the expected
     shape and any size, and from their neighbours. The smooth factor of the object field stays
-    where the common-mode error has put it.
+    where the common-mode error has put it, unless all holograms are solved again.
 
     Parameters
     ----------
@@ -355,7 +355,8 @@ def refit_displacements(
     at = replace(before.solution, amplitude=a, object_field=object_field)
     solved = np.isfinite(before.misfit)
     bad = np.flatnonzero(off | ~solved)
-    if len(bad) < len(solved):
+    other_sweep = len(bad) == len(solved)
+    if not other_sweep:
         alone = field_of_others(whole, at, bad, before.misfit, before.change)
         at, better = tried_again(whole, alone, bad, expected_rad)
         solved[better] = True
@@ -367,7 +368,7 @@ def refit_displacements(
             "it alone"
         )
     level = replace(level, problem=whole)
-    return _finished(level, at, solved, _MOST_TURNS, before.change, common=False)
+    return _finished(level, at, solved, _MOST_TURNS, before.change, common=other_sweep)
 
 
 def _finished(

@@ -50,6 +50,7 @@ from fitting.holograms.object_field import (
     CommonModeError,
     FieldStep,
     field_factor,
+    response_of_small,
     smooth_functions,
 )
 from fitting.holograms.problem import Problem
@@ -465,26 +466,21 @@ def _displacements_of(
     marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
     amplitude: ComplexArray = np.zeros((holograms, size), complex)
     information = np.zeros((holograms, 2 * size, 2 * size))
-    response = np.zeros((holograms, *step.common_mode.response.shape[1:]))
-    precision = np.zeros((holograms, *step.common_mode.precision.shape[1:]))
-    pull = np.zeros((holograms, *step.common_mode.pull.shape[1:]))
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
     amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
     # Noise of variance 1 has half of it in either part.
     information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
-    response[solved] = step.common_mode.response
-    precision[solved] = step.common_mode.precision
-    pull[solved] = step.common_mode.pull
     weight = np.zeros(holograms)
     weight[solved] = 1 / np.maximum(of_these, 1)
     nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
     field = at.object_field[nearest]
     own = middle(whole, Solution(amplitude, gain, field, positions=at.positions))
     everywhere = field_estimate(own, amplitude, gain, field, change, weight)
+    small = response_of_small(whole.functions, step.linear.smooth, at.object_field)
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
-        common_mode=CommonModeError(response, precision, pull),
+        common_mode=replace(step.common_mode.among(holograms, solved), small=small),
         recording_rank=whole.recording_rank,
         misfit=misfit,
         gain=gain,

@@ -48,11 +48,14 @@ class CommonModeError:
         What each hologram adds to the inverse covariance of the parameters.
     pull : (k, q) float
         What it adds to the negative gradient of half of χ² by the parameters, where they are 0.
+    small : (q, j, j) complex, optional
+        See `response_of_small`.
     """
 
     response: Array
     precision: Array
     pull: Array
+    small: ComplexArray | None = None
 
     @property
     def whole(self) -> Array:
@@ -60,6 +63,63 @@ class CommonModeError:
         weak = _LOOSE**-2 * np.eye(self.precision.shape[1])
         whole: Array = weak + self.precision.sum(axis=0)
         return whole
+
+    def among(self, holograms: int, some: IndexArray) -> "CommonModeError":
+        """Return the error of more holograms, of which some (s,) are those of this one.
+
+        The others have no displacements.
+        """
+
+        def spread(each: Array) -> Array:
+            whole = np.zeros((holograms, *each.shape[1:]))
+            whole[some] = each
+            return whole
+
+        return CommonModeError(
+            spread(self.response), spread(self.precision), spread(self.pull), self.small
+        )
+
+    def responding_at(self, expected: ComplexArray, measured: ComplexArray) -> "CommonModeError":
+        """Return the error of amplitudes (k, j) that are expected, where others were measured.
+
+        Responses of measured amplitudes contain their noise. A fit of models to these amplitudes
+        would make the noise smaller, and so all residuals, by a darker object field. What holograms
+        have of the response of small displacements changes in proportion to the amplitudes.
+        """
+        if self.small is None:
+            return self
+        own, change = (_real(self.small, each) for each in (measured, expected - measured))
+        power = np.maximum(np.sum(own**2, axis=1), np.finfo(float).tiny)
+        share = np.clip(np.sum(self.response * own, axis=1) / power, 0, 1)
+        return replace(self, response=self.response + share[:, None] * change)
+
+
+def response_of_small(functions: Array, smooth: Array, object_field: ComplexArray) -> ComplexArray:
+    """Return how small displacements follow the factor of the object field.
+
+    Parameters
+    ----------
+    functions, smooth : (n, j) and (n, c) float
+    object_field : (n,) or (k, n) complex
+
+    Returns
+    -------
+    (q, j, j) complex
+        Their product with amplitudes (j,) is the change of these for each coefficient of the
+        factor: block amplitudes stay as they are, as far as functions can follow.
+    """
+    light = np.mean(np.abs(np.atleast_2d(object_field)) ** 2, axis=0)
+    weighed = light[:, None] * functions
+    onto = np.linalg.solve(functions.T @ weighed, weighed.T)
+    magnitude = -((onto[:, None] * smooth.T) @ functions).swapaxes(0, 1)
+    small: ComplexArray = np.concatenate([magnitude, 1j * magnitude[1:]])
+    return small
+
+
+def _real(small: ComplexArray, amplitude: ComplexArray) -> Array:
+    """Return the responses (k, 2j, q) of amplitudes (k, j) that are small."""
+    each = (amplitude @ small.swapaxes(1, 2)).transpose(1, 2, 0)
+    return np.concatenate([each.real, each.imag], axis=1)
 
 
 @dataclass(frozen=True)

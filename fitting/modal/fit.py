@@ -44,7 +44,7 @@ from fitting.modal.drive_prior import (
     smooth_ripple,
     strong_ripple,
 )
-from fitting.modal.field_drift import FIRST_WALK, FieldDrift, SharedError, shared_error
+from fitting.modal.field_drift import FIRST_WALK, FieldDrift
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
@@ -64,7 +64,6 @@ from fitting.modal.out_of_phase import (
     expected_shared,
     shared_drift,
     sound_between_modes,
-    with_out_of_phase,
 )
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
@@ -77,6 +76,7 @@ from fitting.modal.rounds import (
     likeliest,
     one_round,
     probabilities,
+    shared_at,
     with_ripple,
 )
 from fitting.parallel.processes import map_processes
@@ -141,9 +141,8 @@ def fit_modes(
     model, centre_hz = _model(basis, drive_hz, volts, start_hz)
     noise = noise_of(displacements)
     drift = shared_drift(displacements)
-    shared = _first_shared(displacements, drift)
     if known is None:
-        model, state = _staged(model, displacements, noise, shared, centre_hz)
+        model, state = _staged(model, displacements, noise, drift, centre_hz)
         rounds, scatter = _ROUNDS, _FIRST_SCATTER
     else:
         model, state = _again(model, known, displacements, drift)
@@ -266,8 +265,7 @@ def _with_mode_for_line(search: Search, taken: TakenMode, centre_hz: Array) -> S
     # Without the notches of distant lines, modes are found in their place.
     modes = np.concatenate([np.log(centre_hz), best.logs[: len(centre_hz)]])
     expected = expecting(bare, away_from(drive_lines(best, bare), modes))
-    shared = _first_shared(displacements, given.drift)
-    model, state = _staged(expected, displacements, noise, shared, centre_hz)
+    model, state = _staged(expected, displacements, noise, given.drift, centre_hz)
     prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
     held, state = _held_at(model, prior, state, taken)
     there, scatter = Given(displacements, given.drift, noise, held), _FIRST_SCATTER
@@ -308,11 +306,6 @@ def _held_at(model: Model, prior: Prior, state: State, taken: TakenMode) -> tupl
     return Prior(centre, precision), replace(state, x=x)
 
 
-def _first_shared(displacements: Displacements, drift: FieldDrift) -> SharedError:
-    """Return what displacements share, for the walk that is expected."""
-    return shared_error(with_out_of_phase(displacements.common_mode), drift, FIRST_WALK)
-
-
 def _model(
     basis: ShapeBasis, drive_hz: Array, volts: Array, start_hz: dict[str, float]
 ) -> tuple[Model, Array]:
@@ -342,13 +335,15 @@ def _model(
 
 
 def _staged(
-    model: Model, displacements: Displacements, noise: Noise, shared: SharedError, centre_hz: Array
+    model: Model, displacements: Displacements, noise: Noise, drift: FieldDrift, centre_hz: Array
 ) -> tuple[Model, State]:
     """Fit with priors that widen from stage to stage."""
-    state, scale = first_state(model, displacements, expected_shared(shared.drift))
+    state, scale = first_state(model, displacements, expected_shared(drift))
     model = at_level(model, state)
     for stage in _STAGES:
         prior = stage_prior(model, stage, centre_hz, scale)
+        given = Given(displacements, drift, noise, prior)
+        shared = shared_at(model, given, state, FIRST_WALK)
         data = data_of(displacements.amplitude_rad, shared, noise, stage.discrepancy)
         state = minimise_cost(model, data, prior, fixed(prior, state), stage.iterations)
         scale = participation_scale(model, state)

@@ -16,7 +16,7 @@ from fitting.modal.drive_prior import (
     KnownMagnitude,
     found_ripple,
 )
-from fitting.modal.field_drift import FieldDrift, found_walk, shared_error
+from fitting.modal.field_drift import FieldDrift, SharedError, found_walk, shared_error
 from fitting.modal.model import (
     OUT_OF_PHASE,
     Model,
@@ -24,6 +24,7 @@ from fitting.modal.model import (
     Stage,
     State,
     drive_prior_at,
+    terms,
     with_gain,
 )
 from fitting.modal.noise import Data, Noise, balanced, correlated_holograms, data_of, inflated
@@ -137,8 +138,7 @@ def one_round(
 ) -> Round:
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
     displacements, drift, noise = given.displacements, given.drift, given.noise
-    common_mode = with_out_of_phase(displacements.common_mode)
-    prior, shared = given.prior, shared_error(common_mode, drift, scatter.walk)
+    prior, shared = given.prior, shared_at(model, given, state, scatter.walk)
     data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
     state, weighed = fixed(prior, state), data.weighing(1 / scatter.correlated)
     state = with_gain(model, minimise_cost(model, weighed, prior, state, iterations))
@@ -182,6 +182,18 @@ def one_round(
         drift=drift,
         noise=inflated(noise, whitened_residual),
     )
+
+
+def shared_at(model: Model, given: Given, state: State, walk: float) -> SharedError:
+    """Return the error that displacements share, with responses of those that a state expects."""
+    measured, error = given.displacements.amplitude_rad, given.displacements.common_mode
+    modelled, size = terms(model, state).amplitude(state), measured.shape[1]
+    shift = given.drift.shift(state.shared)[:, OUT_OF_PHASE:]
+    at_model = error.responding_at(modelled, measured)
+    moved = (at_model.response @ shift[..., None])[..., 0]
+    expected = modelled - moved[:, :size] - 1j * moved[:, size:]
+    at_state = error.responding_at(expected, measured)
+    return shared_error(with_out_of_phase(at_state), given.drift, walk)
 
 
 def _log_evidence(

@@ -1,5 +1,7 @@
 """Light and displacements together: derivatives, flat directions, and how they are reported."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import j1
@@ -9,6 +11,7 @@ from fitting.holograms.object_field import (
     field_factor,
     field_step,
     linearise,
+    response_of_small,
     smooth_functions,
 )
 from fitting.holograms.problem import Problem, normal
@@ -237,3 +240,57 @@ def test_precision_gives_how_far_light_may_be_off(monkeypatch):
         sure = eigenvalues > 30
         squares.append(np.mean((vectors.T @ step.move)[sure] ** 2 * eigenvalues[sure]))
     assert 0.8 < np.mean(squares) < 1.25
+
+
+# --- Responses of other amplitudes -------------------------------------------------------------
+
+
+def common_mode_of(sweep, a):
+    """Common-mode error of a sweep, linearised at amplitudes."""
+    x = np.concatenate([a.real, a.imag, sweep.gain[:, None]], axis=1)
+    shared = field_step(sweep.linear(a=a), prior(gain=1e4), x).common_mode
+    small = response_of_small(sweep.functions, sweep.smooth, sweep.object_field)
+    return replace(shared, small=small)
+
+
+def in_rows(values):
+    """Real, then imaginary parts of the middle axis of values (k, j, q)."""
+    return np.concatenate([values.real, values.imag], axis=1)
+
+
+def test_small_displacements_respond_in_proportion_to_themselves():
+    sweep = Sweep(0.1, noise=0.0)
+    shared = common_mode_of(sweep, sweep.a)
+    expected = in_rows(np.einsum("qij,kj->kiq", shared.small, sweep.a))
+    off = np.linalg.norm(shared.response - expected, axis=(0, 1))
+    assert (off < 0.02 * np.linalg.norm(expected, axis=(0, 1))).all()
+
+
+@pytest.mark.parametrize("largest_rad", [0.1, 3.0])
+def test_responses_lose_the_noise_of_amplitudes(largest_rad):
+    sweep = Sweep(largest_rad, noise=0.0)
+    size = np.sqrt(np.mean(np.abs(sweep.a) ** 2, axis=1, keepdims=True))
+    measured = sweep.a + 0.1 * size * complex_normal(np.random.default_rng(7), *sweep.a.shape)
+    true, noisy = common_mode_of(sweep, sweep.a), common_mode_of(sweep, measured)
+    better = noisy.responding_at(sweep.a, measured)
+    off, before = (np.linalg.norm(each.response - true.response) for each in (better, noisy))
+    # Across fringes a part of the response does not follow the amplitudes.
+    assert off < (0.05 if largest_rad < 1 else 1.0) * before
+    assert noisy.responding_at(measured, measured).response == pytest.approx(noisy.response)
+
+
+def test_without_the_response_of_small_displacements_nothing_changes():
+    sweep = Sweep(0.1)
+    shared = replace(common_mode_of(sweep, sweep.a), small=None)
+    assert shared.responding_at(2 * sweep.a, sweep.a) is shared
+
+
+def test_holograms_without_displacements_say_nothing():
+    sweep = Sweep(0.1)
+    shared = common_mode_of(sweep, sweep.a)
+    places = np.arange(HOLOGRAMS) + 2
+    wide = shared.among(HOLOGRAMS + 3, places)
+    for name in ("response", "precision", "pull"):
+        whole = getattr(wide, name)
+        assert (whole[places] == getattr(shared, name)).all()
+        assert not np.delete(whole, places, axis=0).any()

@@ -145,7 +145,8 @@ def off_middle(problem, amplitude):
     common = CommonModeError(
         np.zeros((HOLOGRAMS, values, 0)), np.zeros((HOLOGRAMS, 0, 0)), np.zeros((HOLOGRAMS, 0))
     )
-    step = SimpleNamespace(linear=SimpleNamespace(normal=normal), common_mode=common)
+    linear = SimpleNamespace(normal=normal, smooth=np.zeros((blocks, 0)))
+    step = SimpleNamespace(linear=linear, common_mode=common)
 
     def displacements(positions):
         at = Solution(amplitude, np.zeros(HOLOGRAMS), field[None].repeat(HOLOGRAMS, axis=0),

@@ -418,6 +418,26 @@ def test_what_light_says_of_that_error_counts_wherever_displacements_were_linear
     assert off == pytest.approx(np.tile(expected, (holograms, 1)), abs=2e-3)
 
 
+def test_noise_of_displacements_does_not_darken_the_object_field():
+    """Responses of noisy amplitudes: with other light the noise itself would be smaller."""
+    noisy, light, errors = planted(noise=0.4), [], []
+    measured = noisy.displacements.amplitude_rad
+    small = 0.2 * np.random.default_rng(14).standard_normal((131, FUNCTIONS, FUNCTIONS)) + 0j
+    # The first parameter is the magnitude of all light.
+    small[0] = -np.eye(FUNCTIONS)
+    each = np.einsum("qij,kj->kiq", small, measured)
+    response = np.concatenate([each.real, each.imag], axis=1)
+    precision = np.tile(2.0 * np.eye(131), (len(measured), 1, 1))
+    for known in (small, None):
+        error = CommonModeError(response, precision, np.zeros(response.shape[::2]), known)
+        fit = noisy.fit(common_mode=error)
+        light.append(fit.common_mode_shift[:, 0].mean())
+        errors.append(np.sqrt(fit.common_mode_covariance[:, 0, 0].mean()))
+    assert abs(light[0]) < 3 * errors[0]
+    # Noise that can be made smaller is, whatever light says.
+    assert light[1] > 0.5 > 50 * errors[1]
+
+
 def test_a_pole_of_the_chamber_adds_to_the_errors_of_modes_next_to_it_only():
     pole_hz = 1.02 * MODE_HZ[3]
     pole = np.abs(1 + 0.3 / (1 - (DRIVE_HZ / pole_hz) ** 2 + 1j * DRIVE_HZ / pole_hz / 20))

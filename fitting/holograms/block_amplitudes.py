@@ -19,6 +19,7 @@ from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import map_threads
 from holography.arrays import Array, Complex64Array
 from physics.reed.geometry import half_width_m
+from protocols.errors import ProtocolError
 from protocols.plan import planned_sequence
 from protocols.protocol import Protocol
 from runs.reader import Run
@@ -130,9 +131,8 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     Raises
     ------
     FitError
-        If too few steps are good. The message lists the verdicts of the others.
-    ProtocolError
-        If the protocol of a run that was interrupted cannot be read.
+        If too few steps are good (the message lists the verdicts of the others), or if the protocol
+        of a run that was interrupted cannot be read.
     RunFileError
         If a step cannot be read.
     """
@@ -166,7 +166,13 @@ def _recording_rank(run: Run, steps: Sequence[StepRecord]) -> NDArray[np.intp]:
     """
     if not run.interruptions:
         return np.argsort(np.argsort([step.timestamps_s[0] for step in steps]))
-    protocol = Protocol.from_text(run.protocol_text, f"{run.path}: protocol")
+    try:
+        protocol = Protocol.from_text(run.protocol_text, "its protocol")
+    except ProtocolError as error:
+        raise FitError(
+            f"{run.path}: was interrupted, and only its protocol says in which order its steps "
+            f"were measured; measure it again ({error})"
+        ) from error
     place = np.argsort(planned_sequence(protocol, len(run.steps)))
     return np.argsort(np.argsort(place[[step.position for step in steps]]))
 

@@ -359,9 +359,9 @@ def test_a_hologram_that_is_recorded_again_ranks_last(shuffled, tmp_path, reseal
     assert np.argsort(read(tmp_path / "again.h5").recording_rank).tolist() == expected
 
 
-def test_a_clock_that_begins_again_with_a_continued_run_is_not_believed(
-    shuffled, tmp_path, resealed
-):
+@pytest.fixture
+def continued(shuffled, tmp_path, resealed):
+    """The same, interrupted after seven holograms; the camera's clock began again."""
     plan, path = shuffled
     with resealed(Path(shutil.copy(path, tmp_path / "continued.h5"))) as file:
         stamps, later = file["entry/steps/timestamp_s"], np.array(plan.sequence[7:])
@@ -372,8 +372,21 @@ def test_a_clock_that_begins_again_with_a_continued_run_is_not_believed(
         rows["position"][0] = min(later)
         for key, text in (("kind", "resumed"), ("began", "?"), ("ended", "?"), ("reason", "?")):
             rows[key][0] = text
-    found = read(tmp_path / "continued.h5")
-    assert np.argsort(found.recording_rank).tolist() == list(plan.sequence)
+    return tmp_path / "continued.h5"
+
+
+def test_a_clock_that_begins_again_with_a_continued_run_is_not_believed(shuffled, continued):
+    plan, _ = shuffled
+    assert np.argsort(read(continued).recording_rank).tolist() == list(plan.sequence)
+
+
+def test_an_interrupted_run_whose_order_is_not_known_is_refused(continued, resealed):
+    with resealed(continued) as file:
+        origin = file["entry/provenance"]
+        del origin["protocol"]
+        origin["protocol"] = "sweep: ?"
+    with pytest.raises(FitError, match="protocol"):
+        read(continued)
 
 
 # --- Other sidebands ---------------------------------------------------------------------------

@@ -356,8 +356,8 @@ def refit_displacements(
     at = replace(before.solution, amplitude=a, object_field=object_field)
     solved = np.isfinite(before.misfit)
     bad = np.flatnonzero(off | ~solved)
-    other_sweep = len(bad) == len(solved)
-    if not other_sweep:
+    all_again = len(bad) == len(solved)
+    if not all_again:
         alone = field_of_others(whole, at, bad, before.misfit, before.change)
         at, better = tried_again(whole, alone, bad, expected_rad)
         solved[better] = True
@@ -369,7 +369,7 @@ def refit_displacements(
             "it alone"
         )
     level = replace(level, problem=whole)
-    return _finished(level, at, solved, _MOST_TURNS, before.change, common=other_sweep)
+    return _finished(level, at, solved, _MOST_TURNS, before.change, common=all_again)
 
 
 def _finished(

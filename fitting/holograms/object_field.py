@@ -82,9 +82,10 @@ class CommonModeError:
     def responding_at(self, expected: ComplexArray, measured: ComplexArray) -> "CommonModeError":
         """Return the error of amplitudes (k, j) that are expected, where others were measured.
 
-        Responses of measured amplitudes contain their noise. A fit of models to these amplitudes
-        would make the noise smaller, and so all residuals, by a darker object field. What holograms
-        have of the response of small displacements changes in proportion to the amplitudes.
+        Responses of measured amplitudes contain their noise. With them, a brighter object field
+        would make this noise smaller, and so all residuals of a fit. Of the response of each
+        hologram, the part that is like that of small displacements is proportional to the
+        amplitudes.
         """
         if self.small is None:
             return self

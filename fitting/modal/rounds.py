@@ -185,7 +185,7 @@ def one_round(
 
 
 def shared_at(model: Model, given: Given, state: State, walk: float) -> SharedError:
-    """Return the error that displacements share, with responses of those that a state expects."""
+    """Return the error that displacements share, where they respond as those of a state would."""
     measured, error = given.displacements.amplitude_rad, given.displacements.common_mode
     modelled, size = terms(model, state).amplitude(state), measured.shape[1]
     shift = given.drift.shift(state.shared)[:, OUT_OF_PHASE:]

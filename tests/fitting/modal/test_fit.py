@@ -418,8 +418,8 @@ def test_what_light_says_of_that_error_counts_wherever_displacements_were_linear
     assert off == pytest.approx(np.tile(expected, (holograms, 1)), abs=2e-3)
 
 
-def test_noise_of_displacements_does_not_darken_the_object_field():
-    """Responses of noisy amplitudes: with other light the noise itself would be smaller."""
+def test_noise_of_displacements_does_not_brighten_the_object_field():
+    """With responses of noisy amplitudes, brighter light makes the noise itself smaller."""
     noisy, light, errors = planted(noise=0.4), [], []
     measured = noisy.displacements.amplitude_rad
     small = 0.2 * np.random.default_rng(14).standard_normal((131, FUNCTIONS, FUNCTIONS)) + 0j

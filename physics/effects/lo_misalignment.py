@@ -13,16 +13,16 @@ EFFECT = Effect(
             "down",
             "m",
             0.0008,
-            "a tenth of a turn of a mirror mount (a screw of 80 threads per inch, a lever of "
-            "40 mm) half a metre away; at most: half of the sensor",
+            "chosen: a tenth of a turn of a mirror mount (80 threads per inch, a lever of 40 mm) "
+            "half a metre away; at most: half of the sensor",
             most=0.004,
         ),
         Parameter(
             "right",
             "m",
             0.0008,
-            "a tenth of a turn of a mirror mount (a screw of 80 threads per inch, a lever of "
-            "40 mm) half a metre away; at most: half of the sensor",
+            "chosen: a tenth of a turn of a mirror mount (80 threads per inch, a lever of 40 mm) "
+            "half a metre away; at most: half of the sensor",
             most=0.004,
         ),
     ),

@@ -7,14 +7,30 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fitting.holograms.object_field import CommonModeError
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.fit import Search, _compared, _model
-from fitting.modal.model import TAIL_TERMS, Prior, rescaled, stage_prior
+from fitting.modal.model import (
+    OUT_OF_PHASE,
+    TAIL_TERMS,
+    Prior,
+    rescaled,
+    stage_prior,
+    terms,
+)
 from fitting.modal.noise import noise_of
 from fitting.modal.out_of_phase import expected_shared, shared_drift
-from fitting.modal.rounds import LAST, Given, Optimum, Scatter, one_round, probabilities
-from tests.fitting.modal.test_fit import DRIVE_HZ, planted
+from fitting.modal.rounds import (
+    LAST,
+    Given,
+    Optimum,
+    Scatter,
+    one_round,
+    probabilities,
+    shared_at,
+)
+from tests.fitting.modal.test_fit import DRIVE_HZ, FUNCTIONS, planted
 
 # Discrepancies below the noise, so that noise alone is the scatter.
 NOISE_ALONE = Scatter(1e-4, FIRST_WALK)
@@ -118,6 +134,29 @@ def test_cost_and_volume_of_a_prior_are_its_density():
     density = stats.norm(centre[free], precision[free] ** -0.5).logpdf(x[free]).sum()
     constant = -0.5 * np.count_nonzero(free) * np.log(2 * np.pi)
     assert 0.5 * (prior.log_volume - prior.cost(x)) + constant == pytest.approx(density)
+
+
+def test_displacements_respond_as_a_state_would_in_the_light_in_which_they_were_measured(sweep):
+    """Light is 5 % brighter in the state: what was measured in darker light is larger by that."""
+    model, given, state = begun(sweep)
+    brighter, rng = 0.05, np.random.default_rng(5)
+    small = np.zeros((131, FUNCTIONS, FUNCTIONS), complex)
+    small[0] = -np.eye(FUNCTIONS)
+    modelled = terms(model, state).amplitude(state)
+    true = modelled / (1 - brighter)
+    measured = true * (1 + 0.3 * rng.standard_normal(true.shape))
+    response = np.zeros((len(measured), 2 * FUNCTIONS, 131))
+    response[:, :, 0] = -np.concatenate([measured.real, measured.imag], axis=1)
+    nothing = np.zeros((len(measured), 131))
+    error = CommonModeError(response, np.zeros((len(measured), 131, 131)), nothing, small)
+    displacements = replace(given.displacements, amplitude_rad=measured, common_mode=error)
+    drift = shared_drift(displacements)
+    shared = np.zeros(drift.parameters)
+    shared[OUT_OF_PHASE] = brighter
+    there = replace(given, displacements=displacements, drift=drift)
+    found = shared_at(model, there, replace(state, shared=shared), FIRST_WALK).response[:, :, 0]
+    expected = -np.concatenate([true.real, true.imag], axis=1)
+    assert found == pytest.approx(expected, rel=2 * brighter**2)
 
 
 # --- How sure a difference of two evidences is ---------------------------------------------------

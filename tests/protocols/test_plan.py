@@ -15,7 +15,7 @@ from holography.fresnel import FresnelTransform
 from physics.reed.geometry import ReedGeometry
 from protocols.bench import BenchFile
 from protocols.errors import ProtocolError
-from protocols.plan import make_plan
+from protocols.plan import make_plan, planned_sequence
 from protocols.protocol import Protocol
 from protocols.reed import ReedFile
 
@@ -43,6 +43,19 @@ def test_series_a_can_run(series_a):
     assert series_a.violations == ()
     series_a.require_possible()
     assert [step.index for step in series_a.steps] == list(range(1, 185))
+
+
+def test_steps_are_measured_upwards_downwards_or_shuffled():
+    up, down, shuffled = (
+        make_plan(SERIES_A.replace({"sweep.direction": direction}), BENCH)
+        for direction in ("up", "down", "shuffled")
+    )
+    assert up.sequence == tuple(range(184))
+    assert down.sequence == tuple(range(183, -1, -1))
+    assert shuffled.sequence not in (up.sequence, down.sequence)
+    assert sorted(shuffled.sequence) == list(range(184))
+    # The same in every run, and for who has only the protocol.
+    assert shuffled.sequence == planned_sequence(shuffled.protocol, 184)
 
 
 def test_asked_frequencies_are_the_grid_of_the_paper(series_a):

@@ -14,7 +14,7 @@ from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import UnshiftedLight
 from fitting.holograms.displacement import explained_amplitudes
-from fitting.holograms.retries import SAME_FRINGE
+from fitting.holograms.right_fringes.trials import SAME_FRINGE
 from fitting.modal.identify import JointFit, fit_jointly, series_of
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.refit import fit_same_reed, fit_without_unshifted

@@ -7,8 +7,8 @@ import numpy as np
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.fringes.fringe_peaks import FringeCurves, likely_components, pick_fringe_peaks
 from fitting.holograms.block_amplitudes import BlockAmplitudes
-from fitting.holograms.displacement import Displacements
 from fitting.holograms.shape_basis import ShapeBasis, shape_basis
+from fitting.holograms.solved_sweep import Displacements
 from holography.arrays import Array
 from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (

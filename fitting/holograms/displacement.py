@@ -9,135 +9,50 @@ amplitudes are fitted by alternating minimisation from the start that
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import median_abs_deviation
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import (
-    FAR,
     Solution,
-    Sweep,
     middle,
-    settled,
-    whole_cost,
-    with_field,
 )
-from fitting.holograms.amplitudes import (
-    LEAST_GAIN_NEPERS,
-    block_object_field,
-    gain_scatter,
-)
-from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
-from fitting.holograms.changing_field import (
-    FieldChange,
-    field_estimate,
-    found_change,
-    same_change,
-    unlikelihood,
-)
-from fitting.holograms.continuation import (
-    CONTINUATION_STRIDE,
-    Continuation,
-    continued,
-    enough,
-    starts_of,
-)
-from fitting.holograms.object_field import (
-    CommonModeError,
-    FieldStep,
-    field_factor,
-    response_of_small,
-    smooth_functions,
-)
+from fitting.holograms.changing_field import FieldChange, unlikelihood
+from fitting.holograms.continuation import Continuation, continued, enough, starts_of
+from fitting.holograms.object_field import field_factor
 from fitting.holograms.problem import Problem
-from fitting.holograms.retries import (
-    agree,
+from fitting.holograms.right_fringes.retries import (
     all_from_expected,
     field_of_others,
-    in_other_fringes,
-    in_right_fringes,
     relative_misfit,
     tried_again,
-    unexplained,
-    with_wrong_gain,
 )
+from fitting.holograms.right_fringes.trials import agree, in_other_fringes, with_wrong_gain
 from fitting.holograms.shape_basis import ShapeBasis
-from fitting.holograms.within_blocks import mean_bend, spread_slopes
-from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
+from fitting.holograms.solved_sweep import (
+    Displacements,
+    Level,
+    finished,
+    object_field_of,
+    problem_of,
+    with_all_blocks,
+    with_steady_light,
+)
+from fitting.holograms.within_blocks import mean_bend
+from holography.arrays import Array, ComplexArray
 
-# Most turns of the alternating minimisation, and of one whose result is refined later.
-_MOST_TURNS, _QUICK_TURNS = 30, 2
 # Most starts of the continuation while the best explains less than most of the sweep, and while it
 # leaves single holograms unexplained: all displacements may then be too small by a factor.
 _FEW_STARTS, _MOST_STARTS = 3, 10
 _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
+# Holograms with odd gains that may stay in a sweep. Chosen: as many as outliers of the modal fit.
+_FEW_WRONG = 2
 # If a smaller fraction of the holograms is explained, the continuation is repeated with the
 # converged object field.
 _ENOUGH = 0.95
-# How often the change of the object field is found again, with the displacements that it gives.
-_MOST_CHANGES = 3
-# Scatter of all gains over that of most, up to which nothing is odd. Chosen: usually it is 1.
-_LIKE_MOST = 2.0
-# Fringes are found with every third block, as by the continuation, and displacements with all of
-# them. Chosen: with at least this number of blocks for each function, a fit takes 6 % of the noise.
-_BLOCKS_OF_FUNCTION = 16
-
-
-@dataclass(frozen=True)
-class Displacements:
-    """Complex phase amplitudes of every hologram, with their information.
-
-    Attributes
-    ----------
-    amplitude_rad : (k, j) complex128
-        Coordinates of u in a `ShapeBasis`; the phase common to one hologram is arbitrary.
-    information : (k, 2j, 2j) float
-        Inverse covariance of their real, then imaginary parts, from noise and misfit.
-    common_mode : CommonModeError
-        Error that all of them have in common, in addition to their noise.
-    recording_rank : (k,) int
-        Rank of each hologram in the order of recording.
-    misfit : (k,) float
-        Mean square residual of the block amplitudes, in units of the noise.
-    gain : (k,) float
-        Log of the brightness of holograms.
-    gain_nepers : float
-        Standard deviation of its changes from hologram to hologram.
-    object_field : (n,) or (k, n) complex64
-        Object field of each block in every hologram, in units of the noise.
-    field_variance : (k, n) float32, optional
-        Its variance; None if the object field is taken to be the same in all holograms.
-    change : FieldChange, optional
-        How much the object field changes; None if that is not known.
-    reached : (k,) bool
-        Whether the misfit of a hologram is near that of its noise.
-    positions : (n, 2) complex, optional
-        Mean positions of the light within each block, see
-        `fitting.holograms.within_blocks.speckle_positions`.
-    """
-
-    amplitude_rad: ComplexArray
-    information: Array
-    common_mode: CommonModeError
-    recording_rank: IndexArray
-    misfit: Array
-    gain: Array
-    gain_nepers: float
-    object_field: Complex64Array
-    field_variance: NDArray[np.float32] | None
-    change: FieldChange | None
-    reached: NDArray[np.bool_]
-    positions: ComplexArray | None = None
-
-    @property
-    def solution(self) -> Solution:
-        """Amplitudes, gains and object field of all holograms."""
-        light = self.object_field, self.field_variance, self.positions
-        return Solution(self.amplitude_rad, self.gain, *light)
 
 
 def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> Displacements:
@@ -154,7 +69,7 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
     FitError
         If hardly any hologram can be explained.
     """
-    level = _Level.of(block_amplitudes, basis)
+    level = Level.of(block_amplitudes, basis)
     few = level.every(level.stride)
     best = _best_start(few, level, block_amplitudes, basis)
     if best is None:
@@ -163,41 +78,11 @@ def fit_displacements(block_amplitudes: BlockAmplitudes, basis: ShapeBasis) -> D
             "vibrations of this reed: none shows any light, or there are too many fringes; begin "
             "with less volts"
         )
-    return best if level.stride == 1 else _of_all_blocks(level, best)
-
-
-@dataclass(frozen=True)
-class _Level:
-    """The problem of a sweep with all blocks, or with some of them.
-
-    Attributes
-    ----------
-    problem : Problem
-    smooth : (n, c) float
-        See `fitting.holograms.object_field.smooth_functions`.
-    """
-
-    problem: Problem
-    smooth: Array
-
-    @property
-    def stride(self) -> int:
-        """Blocks from one to the next of those that are enough to find fringes."""
-        functions = int(self.problem.functions.shape[1])
-        most = self.problem.blocks // (_BLOCKS_OF_FUNCTION * functions)
-        return min(max(most, 1), CONTINUATION_STRIDE)
-
-    @classmethod
-    def of(cls, blocks: BlockAmplitudes, basis: ShapeBasis) -> "_Level":
-        return cls(_problem_of(blocks, basis), smooth_functions(blocks.x_m, blocks.y_m))
-
-    def every(self, stride: int) -> "_Level":
-        """Return the same for every `stride`-th block."""
-        return _Level(self.problem.every(stride), np.ascontiguousarray(self.smooth[::stride]))
+    return best if level.stride == 1 else with_all_blocks(level, best)
 
 
 def _best_start(
-    few: _Level, level: _Level, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
+    few: Level, level: Level, block_amplitudes: BlockAmplitudes, basis: ShapeBasis
 ) -> Displacements | None:
     """Return what some of the blocks show, from the best of several starts; None if nothing."""
     whole, first = few.problem, replace(level.problem, others=())
@@ -209,7 +94,7 @@ def _best_start(
 
     def refined(rough: Displacements, other: Displacements | None = None) -> Displacements:
         found = _refined(few, rough, other)
-        return _with_steady_light(few, found) if mostly_explained(found) else found
+        return with_steady_light(few, found) if mostly_explained(found) else found
 
     best: Displacements | None = None
     costs: list[float] = []
@@ -237,29 +122,12 @@ def _best_start(
 
 
 def _in_order(found: Displacements) -> bool:
-    """Whether no hologram is far from its noise, or of another brightness than it should be."""
+    """Whether no hologram is far from its noise, and few have another brightness than they should.
+
+    At the peak of a resonance, displacements differ within blocks, and their holograms seem darker.
+    """
     wrong = with_wrong_gain(found.gain, found.gain_nepers).size
-    return bool(np.all(found.reached)) and not wrong
-
-
-def _of_all_blocks(level: _Level, found: Displacements) -> Displacements:
-    """Go on with all blocks from displacements that some of them show."""
-    solved = np.flatnonzero(np.isfinite(found.misfit))
-    whole = replace(level.problem, gain_nepers=found.gain_nepers)
-    problem, weight = whole.some(solved), 1 / np.maximum(found.misfit[solved], 1)
-    a, gain = found.amplitude_rad[solved], found.gain[solved]
-    field = _field_of(problem, a, gain, weight)
-    change = found.change or FieldChange(0.0, 0.0)
-    at = with_field(problem, Solution(a, gain, field), weight, change)
-    sweep = Sweep(problem, problem.exact(), level.smooth, change, common=False)
-    at, step = settled(sweep, at, _MOST_TURNS)
-    return _displacements_of(whole, solved, at, step, change)
-
-
-def _field_of(problem: Problem, a: ComplexArray, gain: Array, weight: Array) -> Complex64Array:
-    """Return the object field (n,) that amplitudes, gains and weights of all holograms give."""
-    first = replace(problem, others=())
-    return block_object_field(first, np.arange(len(gain)), a, gain, weight)
+    return bool(np.all(found.reached)) and wrong <= _FEW_WRONG
 
 
 def _unlikelihood(whole: Problem, found: Displacements) -> float:
@@ -268,46 +136,46 @@ def _unlikelihood(whole: Problem, found: Displacements) -> float:
     return unlikelihood(own, *at, change, found.misfit)
 
 
-def _problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
-    problem = Problem.of(
-        blocks.value, basis.functions, BesselTable(), blocks.others, blocks.recording_rank
-    )
-    slopes = spread_slopes(blocks.x_m, blocks.y_m, blocks.size_m, basis.functions)
-    return replace(problem, slopes=slopes)
-
-
-def _from_search(few: _Level, level: _Level, search: Continuation) -> Displacements:
+def _from_search(few: Level, level: Level, search: Continuation) -> Displacements:
     """Refine a little what a continuation has found: enough to compare it with others."""
     at = _every(search.solution, level.stride)
     if search.explained.mean() > _ENOUGH:
-        return _finished(few, at, search.solved, _QUICK_TURNS)
+        return finished(few, at, search.solved, quick=True)
     # With the converged object field, more holograms can be solved.
-    better = _finished(few, at, search.best_explained, _QUICK_TURNS)
+    better = finished(few, at, search.best_explained, quick=True)
     a, gain, weight = better.amplitude_rad, better.gain, 1 / np.maximum(better.misfit, 1)
-    field = _field_of(level.problem, a, gain, weight)
+    field = object_field_of(level.problem, a, gain, weight)
     search.continue_from(Solution(a, gain, field), better.misfit)
     at = _every(search.solution, level.stride)
-    return _finished(few, at, search.solved, _QUICK_TURNS)
+    return finished(few, at, search.solved, quick=True)
 
 
 def _every(at: Solution, stride: int) -> Solution:
     return replace(at, object_field=at.object_field[::stride])
 
 
-def _refined(
-    few: _Level, rough: Displacements, other: Displacements | None = None
-) -> Displacements:
-    """Minimise from a solution; where another one differs, the better of both is taken."""
+def _refined(few: Level, rough: Displacements, other: Displacements | None = None) -> Displacements:
+    """Minimise from a solution; where another one differs, the better of both is taken.
+
+    Holograms without a solution are tried from their neighbours, which are in the right fringes by
+    then.
+    """
     solved = np.isfinite(rough.misfit)
     theirs = None if other is None else other.amplitude_rad
-    return _finished(few, rough.solution, solved, _MOST_TURNS, rough.change, theirs)
+    found = finished(few, rough.solution, solved, rough.change, theirs)
+    whole = replace(few.problem, gain_nepers=found.gain_nepers)
+    at, better = tried_again(whole, found.solution, np.flatnonzero(~solved))
+    if not better.size:
+        return found
+    solved[better] = True
+    return finished(few, at, solved, found.change)
 
 
 def explained_amplitudes(
     block_amplitudes: BlockAmplitudes, basis: ShapeBasis, found: Displacements
 ) -> ComplexArray:
     """Return the block amplitudes (k, n) that displacements explain, for light in even blocks."""
-    problem = _problem_of(block_amplitudes, basis)
+    problem = problem_of(block_amplitudes, basis)
     u, v = problem.bessel_vectors(found.amplitude_rad)
     lit = np.exp(found.gain)[:, None] * found.object_field
     explained: ComplexArray = lit * (u + 1j * v + mean_bend(problem, found.amplitude_rad))
@@ -347,7 +215,7 @@ def refit_displacements(
     FitError
         If no hologram can be explained.
     """
-    level = _Level.of(block_amplitudes, basis)
+    level = Level.of(block_amplitudes, basis)
     whole = replace(level.problem, gain_nepers=before.gain_nepers)
     object_field = before.object_field * field_factor(level.smooth, common_mode_shift)
     changes = (before.common_mode.response @ common_mode_shift[..., None])[..., 0]
@@ -369,125 +237,4 @@ def refit_displacements(
             "it alone"
         )
     level = replace(level, problem=whole)
-    return _finished(level, at, solved, _MOST_TURNS, before.change, common=all_again)
-
-
-def _finished(
-    level: _Level,
-    at: Solution,
-    solved: NDArray[np.bool_],
-    most_turns: int,
-    change: FieldChange | None = None,
-    other: ComplexArray | None = None,
-    *,
-    common: bool = True,
-) -> Displacements:
-    """Minimise over object field and amplitudes of the solved holograms in turns.
-
-    Without `change`, the object field is first taken to be the same in all of them. `other` (k, j)
-    are amplitudes of another solution: where they are in other fringes, both are tried.
-    """
-    whole, steps = level.problem, np.flatnonzero(solved)
-    problem = whole.some(steps)
-    at = _some(at, steps)
-    sweep = Sweep(problem, problem.exact(), level.smooth, change, common)
-    at, step = settled(sweep, at, most_turns)
-    for _ in range(1 if most_turns == _QUICK_TURNS else _MOST_CHANGES):
-        before, now = sweep.change, _change_of(problem, at, step)
-        scatter_nepers = gain_scatter(sweep.problem, at.gain, step.linear.normal.matrix)
-        sweep = sweep.with_gains(scatter_nepers, now)
-        at, step = settled(sweep, at, most_turns)
-        if before is not None and same_change(before, now):
-            break
-    if most_turns > _QUICK_TURNS:
-        theirs = None if other is None else other[steps]
-        at, step = in_right_fringes(sweep, at, step, _MOST_TURNS, theirs)
-    whole = replace(whole, gain_nepers=sweep.problem.gain_nepers)
-    return _displacements_of(whole, steps, at, step, now)
-
-
-def _with_steady_light(few: _Level, found: Displacements) -> Displacements:
-    """Try light as steady as that of most holograms first; return the likelier of both.
-
-    In a wrong fringe near the first maximum of J₁, a hologram needs another brightness. Holograms
-    of which some are in wrong fringes seem to scatter in brightness, and stay there with this
-    scatter. The median deviation is the scatter of most, whatever a few need.
-    """
-    solved = np.flatnonzero(np.isfinite(found.misfit))
-    scatter_of_most = float(median_abs_deviation(found.gain[solved], scale="normal"))
-    usual_nepers = max(scatter_of_most, LEAST_GAIN_NEPERS)
-    wrong = with_wrong_gain(found.gain[solved], usual_nepers)
-    if not wrong.size and found.gain_nepers < _LIKE_MOST * usual_nepers:
-        return found
-    problem = replace(few.problem, gain_nepers=found.gain_nepers).some(solved)
-    at = _some(found.solution, solved)
-    change = found.change or FieldChange(0.0, 0.0)
-    sweep = Sweep(problem, problem.exact(), few.smooth, change)
-    steady = sweep.with_gains(usual_nepers, change)
-    tried, step = in_right_fringes(steady, *settled(steady, at, _MOST_TURNS), _MOST_TURNS)
-    scatter_nepers = gain_scatter(steady.problem, tried.gain, step.linear.normal.matrix)
-    change = _change_of(steady.problem, tried, step)
-    there = steady.with_gains(scatter_nepers, change)
-    tried, step = in_right_fringes(there, *settled(there, tried, _MOST_TURNS), _MOST_TURNS)
-    if whole_cost(sweep.problem, at) <= whole_cost(there.problem, tried):
-        return found
-    whole = replace(few.problem, gain_nepers=scatter_nepers)
-    return _displacements_of(whole, solved, tried, step, change)
-
-
-def _some(at: Solution, steps: IndexArray) -> Solution:
-    """Return amplitudes, gains and object field of some of the holograms."""
-    field = at.object_field if at.object_field.ndim == 1 else at.object_field[steps]
-    variance = None if at.field_variance is None else at.field_variance[steps]
-    return Solution(at.amplitude[steps], at.gain[steps], field, variance, at.positions)
-
-
-def _change_of(problem: Problem, at: Solution, step: FieldStep) -> FieldChange:
-    """Find how much the object field changes, from the explained holograms."""
-    misfit = step.linear.normal.misfit / problem.seen
-    signal = np.mean(np.square(problem.real) + np.square(problem.imaginary), axis=1)
-    explained = np.ones(len(misfit), bool)
-    explained[unexplained(relative_misfit(misfit, signal), problem.seen)] = False
-    if not explained.any():
-        explained[:] = True
-    # Across fringes, light that is not in the middle of its block would look like other light.
-    own = middle(problem, at)
-    return found_change(own, at.amplitude, at.gain, at.object_field, explained)
-
-
-def _displacements_of(
-    whole: Problem, solved: IndexArray, at: Solution, step: FieldStep, change: FieldChange
-) -> Displacements:
-    """Collect the displacements of the solved holograms; the others have no information."""
-    end, size, holograms = step.linear.normal, at.amplitude.shape[1], len(whole.real)
-    of_these = end.misfit / whole.seen[solved]
-    # Marginalise over the gains of the holograms.
-    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + whole.half_gain_precision
-    marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
-    amplitude: ComplexArray = np.zeros((holograms, size), complex)
-    information = np.zeros((holograms, 2 * size, 2 * size))
-    misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
-    amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
-    # Noise of variance 1 has half of it in either part.
-    information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
-    weight = np.zeros(holograms)
-    weight[solved] = 1 / np.maximum(of_these, 1)
-    nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
-    field = at.object_field[nearest]
-    own = middle(whole, Solution(amplitude, gain, field, positions=at.positions))
-    everywhere = field_estimate(own, amplitude, gain, field, change, weight)
-    small = response_of_small(whole.functions, step.linear.smooth, at.object_field)
-    return Displacements(
-        amplitude_rad=amplitude,
-        information=information,
-        common_mode=replace(step.common_mode.among(holograms, solved), small=small),
-        recording_rank=whole.recording_rank,
-        misfit=misfit,
-        gain=gain,
-        gain_nepers=whole.gain_nepers,
-        object_field=everywhere.mean,
-        field_variance=everywhere.variance,
-        change=change,
-        reached=misfit < FAR,
-        positions=at.positions,
-    )
+    return finished(level, at, solved, before.change, common=all_again)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
-from fitting.holograms.displacement import Displacements
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.model import LOSS, TAIL_TERMS, Model, State, terms
 from holography.arrays import Array, ComplexArray
 

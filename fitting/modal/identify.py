@@ -23,13 +23,10 @@ from fitting.holograms.block_amplitudes import (
     UnshiftedLight,
     read_block_amplitudes,
 )
-from fitting.holograms.displacement import (
-    Displacements,
-    fit_displacements,
-    refit_displacements,
-)
-from fitting.holograms.retries import same_fringe
+from fitting.holograms.displacement import fit_displacements, refit_displacements
+from fitting.holograms.right_fringes.trials import same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import LOSS

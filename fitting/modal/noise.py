@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-from fitting.holograms.displacement import Displacements
 from fitting.holograms.linearisation import triangle
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.field_drift import FieldDrift, SharedError
 from fitting.modal.model import OUT_OF_PHASE
 from holography.arrays import Array, ComplexArray

@@ -33,9 +33,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.field_drift import FieldDrift, field_drift
 from fitting.modal.model import OUT_OF_PHASE
 from holography.arrays import Array

@@ -14,9 +14,10 @@ from fitting.holograms.block_amplitudes import (
     UnshiftedLight,
     read_block_amplitudes,
 )
-from fitting.holograms.displacement import Displacements, refit_displacements
+from fitting.holograms.displacement import refit_displacements
 from fitting.holograms.object_field import CommonModeError, field_factor, smooth_functions
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.fit import fit_modes_with_known_drive
 from fitting.modal.identify import (
     JointFit,

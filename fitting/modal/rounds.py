@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from fitting.holograms.displacement import Displacements
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.drive_prior import (
     FoundRipple,
     KnownMagnitude,

@@ -15,7 +15,6 @@ from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.continuation import Continuation, continued, starts_of
 from fitting.holograms.displacement import (
-    Displacements,
     fit_displacements,
     refit_displacements,
 )
@@ -25,17 +24,16 @@ from fitting.holograms.problem import (
     Problem,
     normal,
 )
-from fitting.holograms.retries import (
+from fitting.holograms.right_fringes.retries import (
     _likely_sizes,
-    agree,
     field_of_others,
-    in_other_fringes,
     relative_misfit,
-    same_fringe,
     tried_again,
     unexplained,
 )
+from fitting.holograms.right_fringes.trials import agree, in_other_fringes, same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.solved_sweep import Displacements
 from tests.numbers import complex_normal
 
 # Modes of the plate; the last one is never in resonance, of it only the tail is there.
@@ -135,7 +133,7 @@ def solve_and_settle(sweep) -> Displacements:
     """The same with enough last turns between light and amplitudes that little changes then."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fitting.holograms.alternating_minimisation._SETTLED", 0.05)
-        patch.setattr("fitting.holograms.displacement._MOST_TURNS", 60)
+        patch.setattr("fitting.holograms.solved_sweep._MOST_TURNS", 60)
         return solve(sweep)
 
 
@@ -420,7 +418,7 @@ def nothing_explained(monkeypatch):
     """No hologram is explained, whatever a start finds."""
     monkeypatch.setattr("fitting.holograms.displacement._EXPLAINED", 0.0)
     monkeypatch.setattr(
-        "fitting.holograms.displacement.unexplained", lambda misfit, _seen: np.arange(len(misfit))
+        "fitting.holograms.solved_sweep.unexplained", lambda misfit, _seen: np.arange(len(misfit))
     )
 
 
@@ -451,7 +449,7 @@ def test_a_start_that_looks_better_is_compared_after_both_were_refined(sweep, mo
     monkeypatch.setattr(f"{module}.continued", lambda *_: True)
     monkeypatch.setattr(f"{module}._from_search", lambda *_: solution(next(rough)))
     monkeypatch.setattr(f"{module}._refined", lambda *a: solution(a[1].tag.upper()))
-    monkeypatch.setattr(f"{module}._of_all_blocks", lambda _, found: found)
+    monkeypatch.setattr(f"{module}.with_all_blocks", lambda _, found: found)
     monkeypatch.setattr(f"{module}._unlikelihood", lambda _, found: costs[found.tag])
     monkeypatch.setattr(f"{module}.agree", lambda *_: False)
     assert solve(sweep).tag == "A"
@@ -477,8 +475,8 @@ def test_light_that_modes_have_determined_is_held(sweep, settled, monkeypatch):
         seen.append((sweep_of_blocks.common, sweep_of_blocks.problem.blocks))
         return settling.settled(sweep_of_blocks, at, turns)
 
-    monkeypatch.setattr("fitting.holograms.displacement.settled", noted)
-    monkeypatch.setattr("fitting.holograms.displacement._BLOCKS_OF_FUNCTION", 1)
+    monkeypatch.setattr("fitting.holograms.solved_sweep.settled", noted)
+    monkeypatch.setattr("fitting.holograms.solved_sweep._BLOCKS_OF_FUNCTION", 1)
     solve(sweep)
     assert {blocks for common, blocks in seen if common} == {134}
     assert [blocks for common, blocks in seen if not common] == [POINTS]

@@ -1,24 +1,35 @@
 """Groups of holograms in wrong fringes, which only move together."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fitting.holograms import displacement, retries
+from fitting.holograms import solved_sweep
 from fitting.holograms.alternating_minimisation import Solution, Sweep, settled, with_field
 from fitting.holograms.bessel import BesselTable
-from fitting.holograms.displacement import _Level, _with_steady_light, fit_displacements
+from fitting.holograms.displacement import fit_displacements
 from fitting.holograms.problem import Problem
-from fitting.holograms.retries import (
+from fitting.holograms.right_fringes import groups, retries, trials
+from fitting.holograms.right_fringes.groups import (
+    _beyond,
+    _Candidates,
+    _continuous,
+    _neighbourhoods,
+    _off_a_pole,
     breaks,
-    followed,
+    moved_together,
+    smoothest,
+)
+from fitting.holograms.right_fringes.retries import in_right_fringes
+from fitting.holograms.right_fringes.trials import (
     in_other_fringes,
-    in_right_fringes,
     same_fringe,
     with_fringes,
     with_wrong_gain,
 )
+from fitting.holograms.solved_sweep import Level, with_steady_light
 from tests.fitting.holograms.test_displacement import planted
 
 # Around the peak of F1, on both sides of its largest displacement.
@@ -51,53 +62,112 @@ def astray(problem, found):
     return with_field(problem, there, np.ones(len(amplitude)), found.change)
 
 
-@pytest.mark.parametrize("along", [1, -1])
-def test_a_group_is_followed_from_either_side_to_where_it_should_be(problem, found, astray, along):
+def test_a_group_continues_its_neighbours_where_it_should_be(problem, found, astray):
     at = replace(astray, object_field=found.object_field, field_variance=found.field_variance)
-    there = followed(problem, at, LOST, along)
+    around = np.arange(LOST[0] - 4, LOST[-1] + 5)
+    there = smoothest(problem, at, around)
     assert same_fringe(there.amplitude, found.amplitude_rad).all()
-    rest = np.setdiff1d(np.arange(len(there.gain)), LOST)
+    rest = np.setdiff1d(np.arange(len(there.gain)), around)
     assert (there.amplitude[rest] == at.amplitude[rest]).all()
     # What is changed in a copy is not changed in what was given.
     assert not same_fringe(at.amplitude[LOST], found.amplitude_rad[LOST]).any()
 
 
-@pytest.mark.parametrize("along", [1, -1])
-def test_what_is_in_its_fringe_stays_there(problem, found, along):
+def test_what_is_in_its_fringe_stays_there(problem, found):
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
-    assert followed(problem, at, LOST, along) is None
+    assert smoothest(problem, at, LOST) is None
 
 
-def test_a_group_at_the_end_of_a_sweep_is_followed_from_its_other_side_only(problem, found):
+def test_a_group_at_the_end_of_a_sweep_continues_its_other_side(problem, found):
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
-    last = np.array([len(found.gain) - 1])
+    last = len(found.gain) - 1
     amplitude = found.amplitude_rad.copy()
     amplitude[last] *= 0.3
-    lost = replace(at, amplitude=amplitude)
-    assert followed(problem, lost, last, -1) is None
-    assert same_fringe(followed(problem, lost, last, 1).amplitude[last], found.amplitude_rad[last])
+    there = smoothest(problem, replace(at, amplitude=amplitude), np.array([last]))
+    assert same_fringe(there.amplitude, found.amplitude_rad).all()
+
+
+def test_without_fringes_no_displacement_is_in_a_wrong_one(problem, found):
+    at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    assert not with_fringes(problem, found.amplitude_rad)[0]
+    amplitude = found.amplitude_rad.copy()
+    amplitude[0] *= 0.3
+    assert smoothest(problem, replace(at, amplitude=amplitude), np.array([0])) is None
+
+
+@pytest.mark.parametrize("position", [-2.5, -0.4, 0.1, 1.5])
+@pytest.mark.parametrize("loss", [0.1, 1.0, 10.0])
+def test_neighbours_of_a_pole_are_its_response_wherever_it_is(position, loss):
+    """One pole with any loss, in units of the steps, and no loss at all."""
+    before, here, after = 1 / np.abs(np.array([-1.0, 0.0, 1.0]) - position - 1j * loss)
+    assert _off_a_pole(before, here, after) == pytest.approx(0.0, abs=1e-12)
+    # Less than the smaller neighbour, or far more than either, is not.
+    low, high = 2 / (1 / before + 1 / after), 2 / abs(1 / before - 1 / after)
+    assert _off_a_pole(before, 0.5 * low, after) == pytest.approx(np.log(2))
+    assert _off_a_pole(before, 3 * high, after) == pytest.approx(np.log(3))
+
+
+def test_the_best_path_is_that_of_all_paths():
+    """Against a search through all of them."""
+    rng = np.random.default_rng(8)
+    counts = 2, 1, 3, 2, 3
+    candidates = [
+        _Candidates(rng.normal(size=(s, 4)) + 1j * rng.normal(size=(s, 4)), np.zeros(s))
+        for s in counts
+    ]
+
+    def apart(path):
+        a = np.array([each.amplitude[s] for each, s in zip(candidates, path, strict=True)])
+        former, here, after = a[:-2], a[1:-1], a[2:]
+        sizes = [np.linalg.norm(each, axis=1) for each in (former, here, after)]
+        broken = _beyond(former, here, after) ** 2 + _beyond(after, here, former) ** 2
+        return np.sum(broken + _off_a_pole(*sizes) ** 2)
+
+    best = min(itertools.product(*map(range, counts)), key=apart)
+    assert _continuous(candidates) == list(best)
+
+
+def test_places_near_each_other_are_looked_at_together():
+    odd = np.array([2, 3, 19, 40])
+    found = [(int(each[0]), int(each[-1])) for each in _neighbourhoods(odd, 44)]
+    assert found == [(0, 25), (34, 43)]
+    assert list(_neighbourhoods(np.zeros(0, np.intp), 44)) == []
+
+
+def test_a_group_that_was_rejected_is_not_tried_again(sweep, problem, found, monkeypatch):
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
+    blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
+    there = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    at, step = settled(blocks, there, 1)
+    monkeypatch.setattr(groups, "suspects", lambda *_: LOST)
+    monkeypatch.setattr(groups, "smoothest", lambda _problem, at, _group: at)
+    rejected = set()
+    assert moved_together(blocks, at, step, 1, rejected) is None
+    assert rejected == {(LOST[0] - 6, LOST[-1] + 6)}
+    monkeypatch.setattr(groups, "smoothest", lambda *_: pytest.fail("tried again"))
+    assert moved_together(blocks, at, step, 1, rejected) is None
 
 
 @pytest.mark.parametrize("together", [True, False])
 def test_a_group_whose_gains_are_wrong_moves_together(
     sweep, problem, found, astray, monkeypatch, together
 ):
-    level = _Level.of(sweep.block_amplitudes, sweep.basis)
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
     blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
     # Alone no hologram is tried again.
     monkeypatch.setattr(retries, "unexplained", lambda *_: np.zeros(0, np.intp))
     monkeypatch.setattr(retries, "tried_again", lambda _problem, at, *_: (at, np.zeros(0, np.intp)))
-    monkeypatch.setattr(retries, "breaks", lambda *_: np.zeros(0, np.intp))
-    first = [LOST] if together else []
-    wrong = iter([*first, *first])
-    monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: next(wrong, np.zeros(0, np.intp)))
+    monkeypatch.setattr(groups, "breaks", lambda *_: np.zeros(0, np.intp))
+    monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: np.zeros(0, np.intp))
+    wrong = iter([LOST] if together else [])
+    monkeypatch.setattr(groups, "with_wrong_gain", lambda *_: next(wrong, np.zeros(0, np.intp)))
     at, step = settled(blocks, astray, 1)
     there, _ = in_right_fringes(blocks, at, step, 8)
     assert same_fringe(there.amplitude[LOST], found.amplitude_rad[LOST]).all() == together
 
 
 def test_a_group_that_is_explained_no_better_stays(sweep, problem, found, monkeypatch):
-    level = _Level.of(sweep.block_amplitudes, sweep.basis)
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
     blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
     at, step = settled(
         blocks,
@@ -105,13 +175,13 @@ def test_a_group_that_is_explained_no_better_stays(sweep, problem, found, monkey
         2,
     )
 
-    def misled(_problem, at, group, _along):
+    def misled(_problem, at, group):
         amplitude = at.amplitude.copy()
         amplitude[group] *= 0.3
         return replace(at, amplitude=amplitude)
 
-    monkeypatch.setattr(retries, "followed", misled)
-    monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: LOST)
+    monkeypatch.setattr(groups, "smoothest", misled)
+    monkeypatch.setattr(groups, "with_wrong_gain", lambda *_: LOST)
     there, _ = in_right_fringes(blocks, at, step, 8)
     assert same_fringe(there.amplitude, at.amplitude).all()
 
@@ -138,12 +208,13 @@ def test_displacements_break_where_they_go_on_in_another_fringe(problem, found, 
 
 def test_a_group_that_breaks_off_moves_together(sweep, problem, found, folded, monkeypatch):
     """Its gains are as they should be, and none of it is explained better alone."""
-    level = _Level.of(sweep.block_amplitudes, sweep.basis)
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
     blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
     there = Solution(folded, found.gain.copy(), found.object_field, found.field_variance)
     there = with_field(problem, there, np.ones(len(folded)), found.change)
     monkeypatch.setattr(retries, "unexplained", lambda *_: np.zeros(0, np.intp))
-    monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: np.zeros(0, np.intp))
+    for module in (retries, groups):
+        monkeypatch.setattr(module, "with_wrong_gain", lambda *_: np.zeros(0, np.intp))
     monkeypatch.setattr(retries, "tried_again", lambda _problem, at, *_: (at, np.zeros(0, np.intp)))
     at, step = settled(blocks, there, 1)
     assert not same_fringe(at.amplitude[LOST], found.amplitude_rad[LOST]).any()
@@ -168,43 +239,43 @@ def test_light_that_is_steady_is_found_to_be_so(monkeypatch):
     """A scatter of gains that wrong fringes have made does not stay."""
     monkeypatch.setattr("tests.fitting.holograms.test_displacement.GAIN", 0.0)
     sweep = planted(3)
-    level = _Level.of(sweep.block_amplitudes, sweep.basis)
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
     found = fit_displacements(sweep.block_amplitudes, sweep.basis)
     assert found.gain_nepers < 0.004
     loose = replace(found, gain_nepers=0.05)
-    steady = _with_steady_light(level, loose)
+    steady = with_steady_light(level, loose)
     assert steady.gain_nepers < 0.004
     assert same_fringe(steady.amplitude_rad, found.amplitude_rad).all()
 
 
 def test_light_that_is_not_steady_stays_as_it_is(sweep, found):
     """Its holograms differ by 5 %."""
-    level = _Level.of(sweep.block_amplitudes, sweep.basis)
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
     assert found.gain_nepers == pytest.approx(0.05, rel=0.2)
     # No gain is far off by the scatter of most: nothing is tried.
-    assert _with_steady_light(level, found) is found
+    assert with_steady_light(level, found) is found
     # If the scatter seems to be larger than that of most, all is tried, and found again.
-    again = _with_steady_light(level, replace(found, gain_nepers=0.12))
+    again = with_steady_light(level, replace(found, gain_nepers=0.12))
     assert again.gain_nepers == pytest.approx(0.05, rel=0.2)
     assert same_fringe(again.amplitude_rad, found.amplitude_rad).all()
 
 
 def test_the_likelier_of_steady_and_unsteady_light_is_kept(sweep, found, monkeypatch):
-    level, costs = _Level.of(sweep.block_amplitudes, sweep.basis), iter([1.0, 2.0])
-    monkeypatch.setattr(displacement, "whole_cost", lambda *_: next(costs))
+    level, costs = Level.of(sweep.block_amplitudes, sweep.basis), iter([1.0, 2.0])
+    monkeypatch.setattr(solved_sweep, "whole_cost", lambda *_: next(costs))
     loose = replace(found, gain_nepers=0.12)
-    assert _with_steady_light(level, loose) is loose
+    assert with_steady_light(level, loose) is loose
     assert next(costs, None) is None
 
 
 def test_trials_that_have_led_to_the_same_solution_are_followed_once(problem, found, monkeypatch):
-    number, sizes, solve = int(LOST[3]), [], retries.fit_amplitudes
+    number, sizes, solve = int(LOST[3]), [], trials.fit_amplitudes
 
     def counted(few, field, steps, start, iterations, prior):
         sizes.append(len(steps))
         return solve(few, field, steps, start, iterations, prior)
 
-    monkeypatch.setattr(retries, "fit_amplitudes", counted)
+    monkeypatch.setattr(trials, "fit_amplitudes", counted)
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
     amplitude = found.amplitude_rad.copy()
     amplitude[number] *= 0.3

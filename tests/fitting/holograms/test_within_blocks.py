@@ -11,16 +11,11 @@ from fitting.holograms.alternating_minimisation import Solution, cost
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import FieldChange
-from fitting.holograms.displacement import (
-    Displacements,
-    _change_of,
-    _displacements_of,
-    _unlikelihood,
-    explained_amplitudes,
-)
+from fitting.holograms.displacement import _unlikelihood, explained_amplitudes
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.problem import Problem
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.solved_sweep import Displacements, _change_of, displacements_of
 from fitting.holograms.within_blocks import (
     from_middle,
     mean_bend,
@@ -152,7 +147,7 @@ def off_middle(problem, amplitude):
         at = Solution(amplitude, np.zeros(HOLOGRAMS), field[None].repeat(HOLOGRAMS, axis=0),
                       positions=positions)  # fmt: skip
         steady = FieldChange(1e-8, 1e-8)
-        return _displacements_of(seen, np.arange(HOLOGRAMS), at, step, steady)
+        return displacements_of(seen, np.arange(HOLOGRAMS), at, step, steady)
 
     return seen, field, positions, displacements
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fitting.errors import FitError
-from fitting.holograms.displacement import Displacements
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
+from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.drive_prior import HELD_LEVEL, DriveForm, quiet_ripple, smooth_ripple
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.first_state import at_level

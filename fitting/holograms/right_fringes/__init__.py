@@ -1,0 +1,1 @@
+"""The right fringe for holograms that fell into a wrong one."""

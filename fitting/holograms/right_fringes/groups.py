@@ -1,0 +1,248 @@
+"""Move a group of neighbouring holograms into the right fringes together.
+
+In light that a whole group has bent, each of its holograms alone is explained best in its wrong
+fringe. Only their gains show it, or breaks between neighbours. From one hologram to the next few
+modes change, and near a resonance each of them as a pole does: of all solutions of the holograms
+around such a place, those that continue each other best are taken, whether or not others explain
+single holograms better (decision 0070).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.holograms.alternating_minimisation import (
+    FAR,
+    Solution,
+    Sweep,
+    cost,
+    middle,
+    settled,
+    with_field,
+)
+from fitting.holograms.continuation import CONTINUATION_STRIDE
+from fitting.holograms.object_field import FieldStep
+from fitting.holograms.problem import Problem
+from fitting.holograms.right_fringes.trials import (
+    SAME_FRINGE,
+    SIZES,
+    distinct,
+    same_fringe,
+    solved_from,
+    with_fringes,
+    with_wrong_gain,
+)
+from holography.arrays import Array, ComplexArray, IndexArray
+
+# Least gain in log likelihood of another solution: odds of 150 to 1.
+LEAST_GAIN = 5.0
+# Alternating steps after which a group in other fringes must be explained better. Chosen: a bound
+# of the time; a group that needs more of them stays where it is.
+_GROUP_TURNS = 4
+# Holograms on either side of an odd one that may be wrong, too, and how far two odd ones are apart
+# that may be the edges of one group. Chosen: in steps of 25 cents, twice 150 cents hold the fringes
+# of a resonance with a loss factor of 0.06; the largest group so far had 15 holograms (decision
+# 0035).
+_NEAR, _ONE_GROUP = 6, 16
+# Every so many blocks are used: they are enough to tell fringes, as in the continuation.
+_STRIDE = CONTINUATION_STRIDE
+# Most solutions of a hologram that are kept, those with the least cost. Chosen: around F1 of a reed
+# that moves by 16 rad, the right one was among the first five.
+_KEPT = 8
+# Solutions of a hologram that differ by less are one. Chosen: half of what a fringe is.
+_SAME = SAME_FRINGE / 2
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Solutions of one hologram, in order of cost.
+
+    Attributes
+    ----------
+    amplitude : (s, j) complex
+    gain : (s,) float
+        Log gains.
+    """
+
+    amplitude: ComplexArray
+    gain: Array
+
+
+def moved_together(
+    sweep: Sweep, at: Solution, step: FieldStep, most_turns: int, rejected: set[tuple[int, int]]
+) -> tuple[Solution, FieldStep] | None:
+    """Move a group of holograms into other fringes; None if that explains nothing better.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    at : Solution
+    step : FieldStep
+        Its equations.
+    most_turns : int
+        Largest number of alternating steps.
+    rejected : set of (int, int)
+        First and last hologram of groups that are not tried: those that are rejected are added.
+    """
+    problem = sweep.problem
+    weight = 1 / np.maximum(step.linear.normal.misfit / problem.seen, 1)
+    costs = float(np.sum(cost(problem, at)))
+    for group in _neighbourhoods(suspects(problem, at), len(at.gain)):
+        ends = int(group[0]), int(group[-1])
+        if ends in rejected:
+            continue
+        there = smoothest(problem, at, group)
+        if there is not None:
+            there = with_field(middle(problem, there), there, weight, sweep.change)
+            there, theirs = settled(sweep, there, min(most_turns, _GROUP_TURNS))
+            if costs - float(np.sum(cost(problem, there))) > LEAST_GAIN:
+                return there, theirs
+        rejected.add(ends)
+    return None
+
+
+def suspects(problem: Problem, at: Solution) -> IndexArray:
+    """Return the holograms with odd gains, and those on both sides of a break."""
+    first = breaks(problem, at.amplitude)
+    odd = np.union1d(with_wrong_gain(at.gain, problem.gain_nepers), [*first, *(first + 1)])
+    return odd.astype(np.intp)
+
+
+def _neighbourhoods(odd: IndexArray, count: int) -> Iterator[IndexArray]:
+    """Yield the holograms around odd ones, those near each other together."""
+    for group in np.split(odd, np.flatnonzero(np.diff(odd) > _ONE_GROUP) + 1):
+        if group.size:
+            yield np.arange(max(group[0] - _NEAR, 0), min(group[-1] + _NEAR + 1, count))
+
+
+def breaks(problem: Problem, a: ComplexArray) -> IndexArray:
+    """Return the holograms with fringes whose next one continues them in another fringe.
+
+    From one hologram to the next, few modes change: amplitudes (k, j) nearly are combinations of
+    any two neighbours. In a break, those on either side are no continuation of the other side.
+    """
+    onwards, backwards = _beyond(a[:-2], a[1:-1], a[2:]), _beyond(a[2:], a[1:-1], a[:-2])
+    broken = np.minimum(onwards[:-1], backwards[1:]) > SAME_FRINGE
+    fringes = with_fringes(problem, a)
+    return np.flatnonzero(broken & (fringes[1:-2] | fringes[2:-1])) + 1
+
+
+def _beyond(former: ComplexArray, before: ComplexArray, a: ComplexArray) -> Array:
+    """Return the part (...) of amplitudes (..., j) that is no combination of two others."""
+    axes, _ = np.linalg.qr(np.stack([former, before], axis=-1))
+    left = a - (axes @ (axes.conj().swapaxes(-1, -2) @ a[..., None]))[..., 0]
+    part: Array = np.linalg.norm(left, axis=-1) / np.maximum(np.linalg.norm(a, axis=-1), 1e-6)
+    return part
+
+
+def _off_a_pole(before: Array, size: Array, after: Array) -> Array:
+    """Return by which factor (nepers) a size cannot be that of a pole with its neighbours.
+
+    The reciprocal of a response near its pole is a linear function of frequency, with complex
+    values: the one in the middle is the mean of the others. So its magnitude is between half of the
+    difference and half of the sum of theirs.
+    """
+    one, own, other = (1 / np.maximum(each, 1e-6) for each in (before, size, after))
+    least, most = 0.5 * np.abs(one - other), 0.5 * (one + other)
+    beyond: Array = np.maximum(np.log(own / most), np.log(np.maximum(least, 1e-12) / own))
+    return np.maximum(beyond, 0.0)
+
+
+def smoothest(problem: Problem, at: Solution, group: IndexArray) -> Solution | None:
+    """Return solutions of a group that continue each other best; None if these are what they were.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the holograms of the solution, in order of frequency.
+    at : Solution
+    group : (g,) int
+        Numbers of consecutive holograms.
+    """
+    candidates = _candidates(problem.every(_STRIDE), _every(at, _STRIDE), group)
+    edges = [n for n in _around(group) if 0 <= n < len(at.gain) and n not in group]
+    every = {n: _present(at, n) for n in edges} | candidates
+    chosen = _continuous([every[n] for n in sorted(every)])
+    found = replace(at, amplitude=at.amplitude.copy(), gain=at.gain.copy())
+    for number, best in zip(sorted(every), chosen, strict=True):
+        found.amplitude[number] = every[number].amplitude[best]
+        found.gain[number] = every[number].gain[best]
+    moved = ~same_fringe(at.amplitude, found.amplitude)
+    moved &= with_fringes(problem, at.amplitude, found.amplitude)
+    return found if moved.any() else None
+
+
+def _every(at: Solution, stride: int) -> Solution:
+    """Return a solution at every `stride`-th block."""
+    variance, positions = at.field_variance, at.positions
+    return replace(
+        at,
+        object_field=at.object_field[..., ::stride],
+        field_variance=None if variance is None else variance[..., ::stride],
+        positions=None if positions is None else positions[::stride],
+    )
+
+
+def _around(group: IndexArray) -> range:
+    """Return the numbers of a group and of the two holograms on either side."""
+    return range(int(group[0]) - 2, int(group[-1]) + 3)
+
+
+def _present(at: Solution, number: int) -> _Candidates:
+    return _Candidates(at.amplitude[number][None], at.gain[number][None])
+
+
+def _candidates(problem: Problem, at: Solution, group: IndexArray) -> dict[int, _Candidates]:
+    """Find solutions of every hologram from those of its neighbours, upwards and then downwards."""
+    found = {int(n): _present(at, n) for n in _around(group) if 0 <= n < len(at.gain)}
+    for along, numbers in ((1, group), (-1, group[::-1])):
+        for number in numbers:
+            neighbour = found.get(int(number) - along)
+            sources = [found[int(number)].amplitude]
+            if neighbour is not None:
+                sources += [size * neighbour.amplitude for size in SIZES]
+            starts = np.concatenate(sources)
+            starts = starts[distinct(starts, np.arange(float(len(starts))), _SAME)]
+            found[int(number)] = _solutions(problem, at, int(number), starts)
+    return {int(n): found[int(n)] for n in group}
+
+
+def _solutions(problem: Problem, at: Solution, number: int, starts: ComplexArray) -> _Candidates:
+    """Solve a hologram from starts (s, j); its own solution is one if nothing explains it."""
+    steps = np.full(len(starts), number)
+    a, gain, left = solved_from(problem.some(steps), at, steps, starts, _SAME, _KEPT)
+    near = left <= FAR * problem.seen[number]
+    if not near.any():
+        return _present(at, number)
+    a, gain, left = a[near], gain[near], left[near]
+    own = distinct(a, left, _SAME)
+    return _Candidates(a[own], gain[own])
+
+
+def _continuous(candidates: list[_Candidates]) -> list[int]:
+    """Return which candidate of each hologram continues its neighbours best.
+
+    The path with the least sum of squares is found by dynamic programming over pairs of neighbours.
+    """
+    least = np.zeros([len(each.gain) for each in candidates[:2]])
+    sources: list[NDArray[np.intp]] = []
+    for three in zip(candidates, candidates[1:], candidates[2:], strict=False):
+        former, before, a = (each.amplitude for each in three)
+        shape = len(former), len(before), len(a), a.shape[1]
+        one, own, other = (
+            np.broadcast_to(former[:, None, None], shape),
+            np.broadcast_to(before[None, :, None], shape),
+            np.broadcast_to(a[None, None], shape),
+        )
+        sizes = [np.linalg.norm(each, axis=-1) for each in (one, own, other)]
+        apart = _beyond(one, own, other) ** 2 + _beyond(other, own, one) ** 2
+        whole = least[:, :, None] + apart + _off_a_pole(*sizes) ** 2
+        sources.append(whole.argmin(axis=0))
+        least = whole.min(axis=0)
+    before_last, last = np.unravel_index(int(least.argmin()), least.shape)
+    path = [int(last), int(before_last)][: len(candidates)]
+    for source in reversed(sources):
+        path.append(int(source[path[-1], path[-2]]))
+    return path[::-1]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from holography.arrays import Array
+from holography.arrays import Array, IndexArray
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,15 @@ class NormalEquations:
     negative_gradient: Array
     matrix: Array
     curvature: Array
+
+    def some(self, chosen: NDArray[np.bool_]) -> "NormalEquations":
+        """Return the equations of the chosen problems (s,)."""
+        return NormalEquations(
+            self.cost_terms[:, chosen],
+            self.negative_gradient[chosen],
+            self.matrix[chosen],
+            self.curvature[chosen],
+        )
 
     def replace(self, chosen: NDArray[np.bool_], other: "NormalEquations") -> None:
         """Overwrite the equations of the chosen problems (s,)."""
@@ -65,8 +74,8 @@ class Damping:
 
 
 def minimise_all(
-    equations: Callable[[Array], NormalEquations],
-    cost_terms: Callable[[Array], Array],
+    equations: Callable[[Array, IndexArray], NormalEquations],
+    cost_terms: Callable[[Array, IndexArray], Array],
     start: Array,
     iterations: int,
     damping: Damping,
@@ -78,9 +87,9 @@ def minimise_all(
     Parameters
     ----------
     equations : callable
-        Returns the normal equations at unknowns (s, u). The arrays are overwritten.
+        Returns the normal equations at unknowns (p, u) of problems (p,). They are overwritten.
     cost_terms : callable
-        Returns only the terms (c, s) of the cost at unknowns (s, u), for the last step.
+        Returns only the terms (c, p) of the cost at unknowns (p, u) of problems (p,).
     start : (s, u) float
     iterations : int
         Number of steps, at least 1.
@@ -88,7 +97,7 @@ def minimise_all(
     damped : int, optional
         Number of leading unknowns that are damped; all by default.
     least_gain : float
-        Steps end early when in every problem one that was damped no more than the first step was
+        Steps of a problem end early when one that was damped no more than the first step is
         expected to lower the cost by less than this.
 
     Returns
@@ -99,28 +108,36 @@ def minimise_all(
 
     Notes
     -----
-    J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed., section 10.3. The factors on the
-    damping are constants that the caller chooses, not functions of the gain ratio.
+    J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed., section 10.3.
     """
-    x, here, ended = start.copy(), equations(start), np.zeros(len(start), bool)
-    terms, amount = here.cost_terms.copy(), np.full(len(x), damping.first)
-    diagonal = np.arange(x.shape[1] if damped is None else damped)
+    x, left = start.copy(), np.arange(len(start))
+    here, amount = equations(x, left), np.full(len(x), damping.first)
+    terms = here.cost_terms.copy()
+    diagonal = np.arange(x.shape[1])[:damped]
     for remaining in reversed(range(iterations)):
-        matrix, mean = here.matrix.copy(), here.curvature / len(diagonal)
-        matrix[:, diagonal, diagonal] += (amount * mean + damping.constant)[:, None]
-        step = np.linalg.solve(matrix, here.negative_gradient[..., None])[..., 0]
+        step = _steps(here, amount * here.curvature / len(diagonal) + damping.constant, diagonal)
         little = np.sum(step * here.negative_gradient, axis=1) < least_gain
-        ended |= little & (amount <= damping.first)
-        if np.all(ended):
+        going = ~(little & (amount <= damping.first))
+        if not np.all(going):
+            left, step, amount, here = left[going], step[going], amount[going], here.some(going)
+        if not left.size:
             break
-        trial = x + step
+        trial = x[left] + step
         # The last step needs no equations: they take most of the time.
-        there = equations(trial) if remaining else None
-        trial_terms = there.cost_terms if there else cost_terms(trial)
-        better = trial_terms.sum(axis=0) < terms.sum(axis=0)
-        x[better], terms[:, better] = trial[better], trial_terms[:, better]
+        there = equations(trial, left) if remaining else None
+        tried = there.cost_terms if there else cost_terms(trial, left)
+        better = tried.sum(axis=0) < terms[:, left].sum(axis=0)
+        x[left[better]], terms[:, left[better]] = trial[better], tried[:, better]
         if there:
             here.replace(better, there)
-        increased = np.minimum(damping.after_loss * amount, damping.largest)
-        amount = np.where(better, damping.after_gain * amount, increased)
+        more = np.minimum(damping.after_loss * amount, damping.largest)
+        amount = np.where(better, damping.after_gain * amount, more)
     return x, terms
+
+
+def _steps(here: NormalEquations, added: Array, diagonal: IndexArray) -> Array:
+    """Return the step (s, u) of every problem, with numbers (s,) added to some of the diagonal."""
+    matrix = here.matrix.copy()
+    matrix[:, diagonal, diagonal] += added[:, None]
+    steps: Array = np.linalg.solve(matrix, here.negative_gradient[..., None])[..., 0]
+    return steps

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fitting.holograms.bessel import SidebandTable
 from fitting.levenberg_marquardt import Damping, NormalEquations, minimise_all
-from holography.arrays import Array, Complex64Array, Float32Array
+from holography.arrays import Array, Complex64Array, Float32Array, IndexArray
 
 # Largest value of J₁²: the brightness of the first bright fringe.
 FIRST_FRINGE = 0.3386
@@ -103,8 +103,8 @@ def _fit_amplitudes(
     def complex_of(x: Array) -> Complex64Array:
         return (x[:, :modes] + 1j * x[:, modes:]).astype(np.complex64)
 
-    def equations(x: Array) -> NormalEquations:
-        residual, jacobian = problem.residual_and_jacobian(complex_of(x))
+    def equations(x: Array, which: IndexArray) -> NormalEquations:
+        residual, jacobian = problem.only(which).residual_and_jacobian(complex_of(x))
         points = residual.shape[1]
         matrix = np.matmul(jacobian.transpose(0, 2, 1), jacobian) / points
         return NormalEquations(
@@ -114,8 +114,8 @@ def _fit_amplitudes(
             curvature=np.trace(matrix, axis1=1, axis2=2),
         )
 
-    def cost_terms(x: Array) -> Array:
-        return mean_square(problem.residual_and_jacobian(complex_of(x))[0])[None]
+    def cost_terms(x: Array, which: IndexArray) -> Array:
+        return mean_square(problem.only(which).residual_and_jacobian(complex_of(x))[0])[None]
 
     x0 = np.concatenate([start.real, start.imag], axis=1)
     x, (misfit,) = minimise_all(equations, cost_terms, x0, iterations, _DAMPING)

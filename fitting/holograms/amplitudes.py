@@ -62,21 +62,22 @@ def fit_amplitudes(
     precision[:, :size, :size] = precision[:, size:-1, size:-1] = 0.5 * prior
     precision[:, -1, -1] = problem.half_gain_precision
 
-    def with_prior_cost(misfit: Array, x: Array) -> Array:
-        return np.stack([misfit, np.sum(x * (precision @ x[..., None])[..., 0], axis=1)])
-
-    def equations(x: Array) -> NormalEquations:
-        here = normal(problem, object_field, steps, x[:, :size] + 1j * x[:, size:-1], x[:, -1])
+    def equations(x: Array, which: IndexArray) -> NormalEquations:
+        a = x[:, :size] + 1j * x[:, size:-1]
+        here = normal(problem, object_field, steps[which], a, x[:, -1])
+        pulled = (precision[which] @ x[..., None])[..., 0]
         return NormalEquations(
-            cost_terms=with_prior_cost(here.misfit, x),
-            negative_gradient=here.gradient - (precision @ x[..., None])[..., 0],
-            matrix=here.matrix + precision,
+            cost_terms=np.stack([here.misfit, np.sum(x * pulled, axis=1)]),
+            negative_gradient=here.gradient - pulled,
+            matrix=here.matrix + precision[which],
             curvature=np.trace(here.matrix[:, :-1, :-1], axis1=1, axis2=2),
         )
 
-    def cost_terms(x: Array) -> Array:
+    def cost_terms(x: Array, which: IndexArray) -> Array:
         a = x[:, :size] + 1j * x[:, size:-1]
-        return with_prior_cost(misfits(problem, object_field, steps, a, x[:, -1]), x)
+        left = misfits(problem, object_field, steps[which], a, x[:, -1])
+        pulled = (precision[which] @ x[..., None])[..., 0]
+        return np.stack([left, np.sum(x * pulled, axis=1)])
 
     x0 = np.concatenate([a.real, a.imag, gain[:, None]], axis=1)
     x, (misfit, _) = minimise_all(

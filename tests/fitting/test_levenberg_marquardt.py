@@ -18,17 +18,20 @@ def model(x):
 DATA = model(TRUE) + 0.01 * np.random.default_rng(0).standard_normal((3, len(T)))
 
 
-def cost_terms(x):
-    return np.sum((DATA - model(x)) ** 2, axis=1)[None]
+EVERY = np.arange(3)
 
 
-def equations(x):
+def cost_terms(x, which=EVERY):
+    return np.sum((DATA[which] - model(x)) ** 2, axis=1)[None]
+
+
+def equations(x, which):
     grown = np.exp(x[:, 1:2] * T)
     jacobian = np.stack([grown, x[:, :1] * T * grown, np.ones_like(grown)], axis=2)
     matrix = np.einsum("stu,stv->suv", jacobian, jacobian)
     return NormalEquations(
-        cost_terms(x),
-        np.einsum("stu,st->su", jacobian, DATA - model(x)),
+        cost_terms(x, which),
+        np.einsum("stu,st->su", jacobian, DATA[which] - model(x)),
         matrix,
         np.trace(matrix, axis1=1, axis2=2),
     )
@@ -61,15 +64,18 @@ def test_a_problem_does_not_depend_on_the_others():
 
 
 def test_steps_end_when_they_are_expected_to_gain_little():
-    counted = []
+    counted = np.zeros(3, int)
 
-    def counting(x):
-        counted.append(None)
-        return equations(x)
+    def counting(x, which):
+        counted[which] += 1
+        return equations(x, which)
 
     start = np.tile([1.0, 0.1, 0.0], (3, 1))
-    x, terms = minimise_all(counting, cost_terms, start, 60, DAMPING, least_gain=1e-6)
-    assert len(counted) < 60
-    np.testing.assert_array_equal(terms, cost_terms(x))
     all_steps, _ = minimise_all(equations, cost_terms, start, 60, DAMPING)
+    start[2] = all_steps[2]
+    x, terms = minimise_all(counting, cost_terms, start, 60, DAMPING, least_gain=1e-6)
+    # One that is there already is not followed as long as the others.
+    assert counted[2] < counted[:2].min()
+    assert counted.max() < 60
+    np.testing.assert_array_equal(terms, cost_terms(x))
     assert cost_terms(x) == pytest.approx(cost_terms(all_steps), abs=1e-5)

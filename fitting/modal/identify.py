@@ -277,7 +277,7 @@ def modes_in_turns(
             break
         before, tried = displacements, modal.off
         # The modes predict the fringe in which outliers lie.
-        expected_rad = modal.amplitude_rad, _with_smooth_drive(modal, block_amplitudes.drive_hz)
+        expected_rad = modal.amplitude_rad, with_smooth_drive(modal, block_amplitudes.drive_hz)
         displacements = refit_displacements(
             block_amplitudes, basis, before, expected_rad, tried, modal.common_mode_shift
         )
@@ -324,12 +324,18 @@ def _common_mode_part(displacements: Displacements, modal: ModalFit) -> float:
     return float(np.median(np.linalg.norm(error[seen, :, 0], axis=1) / size[seen]))
 
 
-def _with_smooth_drive(modal: ModalFit, drive_hz: Array) -> ComplexArray:
+def with_smooth_drive(modal: ModalFit, drive_hz: Array) -> ComplexArray:
     """Return expected amplitudes (k, j) with the drive of outliers interpolated from the others.
 
     Beyond 1.84 rad the block amplitudes decrease again. Displacements in a wrong fringe may then
     explain many successive holograms down to the noise, and the fitted drive follows them. The
     modes with an interpolated drive predict the right fringe.
+
+    Parameters
+    ----------
+    modal : ModalFit
+    drive_hz : (k,) float
+        Drive frequencies.
     """
     log_hz, log_drive, good = np.log(drive_hz), np.log(np.abs(modal.drive)), ~modal.off
     smooth = np.interp(log_hz, log_hz[good], log_drive[good])

@@ -26,6 +26,7 @@ from fitting.modal.identify import (
     joint_fit_of,
     modes_in_turns,
     naming_of,
+    with_smooth_drive,
 )
 from fitting.modal.modal_fit import ModalFit
 from holography.arrays import ComplexArray
@@ -100,15 +101,17 @@ def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -
     block_amplitudes = before.block_amplitudes
     if block_amplitudes.subtracted is None:
         return before
-    moved_rad = np.abs(before.modal.amplitude_rad @ before.basis.functions.T).T
+    # Outliers may have led the drive astray: they are in other fringes than modes expect.
+    likely_rad = with_smooth_drive(before.modal, block_amplitudes.drive_hz)
+    moved_rad = np.abs(likely_rad @ before.basis.functions.T).T
     light = (block_amplitudes.subtracted * j0(moved_rad)).astype(np.complex64)
     with threadpool_limits(limits=1, user_api="blas"):
         less = replace(block_amplitudes, value=block_amplitudes.recorded - light, subtracted=light)
         # Unshifted light may have misled the modes, but hardly the displacements: only these are a
         # start. The modes predict the fringe in which outliers lie.
         none = np.zeros_like(before.modal.common_mode_shift)
+        expected_rad = before.modal.amplitude_rad, likely_rad
         start, off = before.displacements, before.modal.off
-        expected_rad = (before.modal.amplitude_rad,)
         found = refit_displacements(less, before.basis, start, expected_rad, off, none)
         sweep = finished(modes_in_turns(less, before.basis, found, before.start_hz))
         return joint_fit_of(sweep, naming_of(sweep, PlausibleReeds.of(reed, series)))

@@ -13,7 +13,7 @@ from fitting.cane.residual_map import residual_map
 from fitting.errors import FitInputError
 from fitting.forward import cents_of
 from fitting.fringes.start_frequencies import _outweighing, _room_cents
-from fitting.modal.identify import _absorbed, _with_smooth_drive, fit_jointly, joint_fit_of, mac
+from fitting.modal.identify import _absorbed, fit_jointly, joint_fit_of, mac, with_smooth_drive
 from fitting.modal.refit import fit_same_reed
 from fitting.names.naming import SURE, ModeNaming, name_modes, reeds_behind
 from physics.plausible.reeds import PlausibleReeds
@@ -383,4 +383,4 @@ def test_holograms_that_are_off_are_expected_with_the_drive_of_the_others():
     modal = SimpleNamespace(
         drive=drive, amplitude_rad=drive[:, None] * np.array([1.0, 2j]), off=off
     )
-    assert _with_smooth_drive(modal, hz) == pytest.approx(amplitude)
+    assert with_smooth_drive(modal, hz) == pytest.approx(amplitude)

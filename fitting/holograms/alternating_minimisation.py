@@ -66,6 +66,16 @@ class Solution:
     field_variance: NDArray[np.float32] | None = None
     positions: ComplexArray | None = None
 
+    def every(self, stride: int) -> "Solution":
+        """Return the same for every `stride`-th block."""
+        variance, positions = self.field_variance, self.positions
+        return replace(
+            self,
+            object_field=self.object_field[..., ::stride],
+            field_variance=None if variance is None else variance[..., ::stride],
+            positions=None if positions is None else positions[::stride],
+        )
+
 
 @dataclass(frozen=True)
 class Sweep:

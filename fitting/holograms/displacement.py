@@ -15,10 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FitError
-from fitting.holograms.alternating_minimisation import (
-    Solution,
-    middle,
-)
+from fitting.holograms.alternating_minimisation import Solution, middle
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import FieldChange, unlikelihood
 from fitting.holograms.continuation import Continuation, continued, enough, starts_of
@@ -138,7 +135,7 @@ def _unlikelihood(whole: Problem, found: Displacements) -> float:
 
 def _from_search(few: Level, level: Level, search: Continuation) -> Displacements:
     """Refine a little what a continuation has found: enough to compare it with others."""
-    at = _every(search.solution, level.stride)
+    at = search.solution.every(level.stride)
     if search.explained.mean() > _ENOUGH:
         return finished(few, at, search.solved, quick=True)
     # With the converged object field, more holograms can be solved.
@@ -146,12 +143,8 @@ def _from_search(few: Level, level: Level, search: Continuation) -> Displacement
     a, gain, weight = better.amplitude_rad, better.gain, 1 / np.maximum(better.misfit, 1)
     field = object_field_of(level.problem, a, gain, weight)
     search.continue_from(Solution(a, gain, field), better.misfit)
-    at = _every(search.solution, level.stride)
+    at = search.solution.every(level.stride)
     return finished(few, at, search.solved, quick=True)
-
-
-def _every(at: Solution, stride: int) -> Solution:
-    return replace(at, object_field=at.object_field[::stride])
 
 
 def _refined(few: Level, rough: Displacements, other: Displacements | None = None) -> Displacements:

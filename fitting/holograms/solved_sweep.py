@@ -36,11 +36,7 @@ from fitting.holograms.object_field import (
     smooth_functions,
 )
 from fitting.holograms.problem import Problem
-from fitting.holograms.right_fringes.retries import (
-    in_right_fringes,
-    relative_misfit,
-    unexplained,
-)
+from fitting.holograms.right_fringes.retries import in_right_fringes, relative_misfit, unexplained
 from fitting.holograms.right_fringes.trials import same_fringe, with_wrong_gain
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.within_blocks import spread_slopes
@@ -195,9 +191,9 @@ def finished(
     sweep = Sweep(problem, problem.exact(), level.smooth, change, common)
     at, step = settled(sweep, at, most_turns)
     sweep, now, at, step = _with_scatter(sweep, at, step, most_turns)
+    theirs = None if other is None else other[steps]
     for _ in range(0 if quick else _MOST_CHANGES):
         before = at.amplitude
-        theirs = None if other is None else other[steps]
         at, step = in_right_fringes(sweep, at, step, most_turns, theirs)
         if np.all(same_fringe(before, at.amplitude)):
             break

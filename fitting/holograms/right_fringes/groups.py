@@ -41,17 +41,22 @@ LEAST_GAIN = 5.0
 # Alternating steps after which a group in other fringes must be explained better. Chosen: a bound
 # of the time; a group that needs more of them stays where it is.
 _GROUP_TURNS = 4
-# Holograms on either side of an odd one that may be wrong, too, and how far two odd ones are apart
-# that may be the edges of one group. Chosen: in steps of 25 cents, twice 150 cents hold the fringes
-# of a resonance with a loss factor of 0.06; the largest group so far had 15 holograms (decision
-# 0035).
-_NEAR, _ONE_GROUP = 6, 16
-# Every so many blocks are used: they are enough to tell fringes, as in the continuation.
-_STRIDE = CONTINUATION_STRIDE
+# Holograms on either side of an odd one that may be wrong, too. Chosen: in steps of 25 cents these
+# are 150 cents, three half-widths of a resonance with a loss factor of 0.06, where a third is left
+# of the response at its peak.
+_NEAR = 6
+# Largest distance of two odd holograms that may be the edges of one group. Chosen: the largest
+# group so far had 15 holograms (decision 0035).
+_ONE_GROUP = 16
+# Not all blocks are used, but every third at most, and at least this number for each function.
+# Chosen: as many as the continuation has on a sensor of 320 by 256 pixels.
+_BLOCKS_OF_FUNCTION = 9
 # Most solutions of a hologram that are kept, those with the least cost. Chosen: around F1 of a reed
 # that moves by 16 rad, the right one was among the first five.
 _KEPT = 8
-# Solutions of a hologram that differ by less are one. Chosen: half of what a fringe is.
+# Fewest holograms of which one can continue others: each is compared with two.
+_FEWEST = 3
+# Solutions of a hologram that differ by less are one. Chosen: half of what tells fringes apart.
 _SAME = SAME_FRINGE / 2
 
 
@@ -161,33 +166,18 @@ def smoothest(problem: Problem, at: Solution, group: IndexArray) -> Solution | N
     group : (g,) int
         Numbers of consecutive holograms.
     """
-    candidates = _candidates(problem.every(_STRIDE), _every(at, _STRIDE), group)
-    edges = [n for n in _around(group) if 0 <= n < len(at.gain) and n not in group]
-    every = {n: _present(at, n) for n in edges} | candidates
-    chosen = _continuous([every[n] for n in sorted(every)])
+    most = problem.blocks // (_BLOCKS_OF_FUNCTION * problem.functions.shape[1])
+    stride = min(max(most, 1), CONTINUATION_STRIDE)
+    candidates = _candidates(problem.every(stride), at.every(stride), group)
+    if len(candidates) < _FEWEST:
+        return None
     found = replace(at, amplitude=at.amplitude.copy(), gain=at.gain.copy())
-    for number, best in zip(sorted(every), chosen, strict=True):
-        found.amplitude[number] = every[number].amplitude[best]
-        found.gain[number] = every[number].gain[best]
+    chosen = _continuous(list(candidates.values()))
+    for (number, own), best in zip(candidates.items(), chosen, strict=True):
+        found.amplitude[number], found.gain[number] = own.amplitude[best], own.gain[best]
     moved = ~same_fringe(at.amplitude, found.amplitude)
     moved &= with_fringes(problem, at.amplitude, found.amplitude)
     return found if moved.any() else None
-
-
-def _every(at: Solution, stride: int) -> Solution:
-    """Return a solution at every `stride`-th block."""
-    variance, positions = at.field_variance, at.positions
-    return replace(
-        at,
-        object_field=at.object_field[..., ::stride],
-        field_variance=None if variance is None else variance[..., ::stride],
-        positions=None if positions is None else positions[::stride],
-    )
-
-
-def _around(group: IndexArray) -> range:
-    """Return the numbers of a group and of the two holograms on either side."""
-    return range(int(group[0]) - 2, int(group[-1]) + 3)
 
 
 def _present(at: Solution, number: int) -> _Candidates:
@@ -195,8 +185,12 @@ def _present(at: Solution, number: int) -> _Candidates:
 
 
 def _candidates(problem: Problem, at: Solution, group: IndexArray) -> dict[int, _Candidates]:
-    """Find solutions of every hologram from those of its neighbours, upwards and then downwards."""
-    found = {int(n): _present(at, n) for n in _around(group) if 0 <= n < len(at.gain)}
+    """Find solutions of every hologram from those of its neighbours, upwards and then downwards.
+
+    Two holograms on either side of the group keep the solutions that they have.
+    """
+    first, last = max(int(group[0]) - 2, 0), min(int(group[-1]) + 3, len(at.gain))
+    found = {number: _present(at, number) for number in range(first, last)}
     for along, numbers in ((1, group), (-1, group[::-1])):
         for number in numbers:
             neighbour = found.get(int(number) - along)
@@ -206,7 +200,7 @@ def _candidates(problem: Problem, at: Solution, group: IndexArray) -> dict[int, 
             starts = np.concatenate(sources)
             starts = starts[distinct(starts, np.arange(float(len(starts))), _SAME)]
             found[int(number)] = _solutions(problem, at, int(number), starts)
-    return {int(n): found[int(n)] for n in group}
+    return found
 
 
 def _solutions(problem: Problem, at: Solution, number: int, starts: ComplexArray) -> _Candidates:
@@ -222,7 +216,7 @@ def _solutions(problem: Problem, at: Solution, number: int, starts: ComplexArray
 
 
 def _continuous(candidates: list[_Candidates]) -> list[int]:
-    """Return which candidate of each hologram continues its neighbours best.
+    """Return which candidate of each of at least two holograms continues its neighbours best.
 
     The path with the least sum of squares is found by dynamic programming over pairs of neighbours.
     """
@@ -242,7 +236,7 @@ def _continuous(candidates: list[_Candidates]) -> list[int]:
         sources.append(whole.argmin(axis=0))
         least = whole.min(axis=0)
     before_last, last = np.unravel_index(int(least.argmin()), least.shape)
-    path = [int(last), int(before_last)][: len(candidates)]
+    path = [int(last), int(before_last)]
     for source in reversed(sources):
         path.append(int(source[path[-1], path[-2]]))
     return path[::-1]

@@ -9,12 +9,13 @@ import pytest
 from fitting.holograms import solved_sweep
 from fitting.holograms.alternating_minimisation import Solution, Sweep, settled, with_field
 from fitting.holograms.bessel import BesselTable
-from fitting.holograms.displacement import fit_displacements
+from fitting.holograms.displacement import _in_order, _refined, fit_displacements
 from fitting.holograms.problem import Problem
 from fitting.holograms.right_fringes import groups, retries, trials
 from fitting.holograms.right_fringes.groups import (
     _beyond,
     _Candidates,
+    _candidates,
     _continuous,
     _neighbourhoods,
     _off_a_pole,
@@ -73,6 +74,25 @@ def test_a_group_continues_its_neighbours_where_it_should_be(problem, found, ast
     assert not same_fringe(at.amplitude[LOST], found.amplitude_rad[LOST]).any()
 
 
+@pytest.mark.parametrize("below", [True, False])
+def test_solutions_come_from_both_sides(problem, found, below):
+    """Where one side is wrong as far as a size reaches, the right solution is that of the other."""
+    at = Solution(found.amplitude_rad.copy(), found.gain, found.object_field, found.field_variance)
+    number = int(LOST[3])
+    wrong = slice(number - 2, number + 1) if below else slice(number, number + 3)
+    at.amplitude[wrong] *= 0.05
+    solutions = _candidates(problem, at, np.array([number]))[number]
+    assert same_fringe(found.amplitude_rad[number], solutions.amplitude).any()
+
+
+def test_no_more_solutions_are_kept_than_wanted(problem, astray, monkeypatch):
+    many = _candidates(problem, astray, LOST)
+    assert max(len(many[int(number)].gain) for number in LOST) > 1
+    monkeypatch.setattr(groups, "_KEPT", 1)
+    few = _candidates(problem, astray, LOST)
+    assert {len(few[int(number)].gain) for number in LOST} == {1}
+
+
 def test_what_is_in_its_fringe_stays_there(problem, found):
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
     assert smoothest(problem, at, LOST) is None
@@ -85,6 +105,68 @@ def test_a_group_at_the_end_of_a_sweep_continues_its_other_side(problem, found):
     amplitude[last] *= 0.3
     there = smoothest(problem, replace(at, amplitude=amplitude), np.array([last]))
     assert same_fringe(there.amplitude, found.amplitude_rad).all()
+
+
+def test_two_holograms_are_too_few_to_continue_each_other(problem, found):
+    for few in (np.array([30, 31]), np.array([30])):
+        at = Solution(found.amplitude_rad[few], found.gain[few], found.object_field[few])
+        assert smoothest(problem.some(few), at, np.arange(len(few))) is None
+
+
+def test_every_second_block_of_a_solution_is_that_of_the_problem(problem, found):
+    at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    half = at.every(2)
+    np.testing.assert_array_equal(half.object_field, found.object_field[:, ::2])
+    np.testing.assert_array_equal(half.field_variance, found.field_variance[:, ::2])
+    assert half.object_field.shape[1] == problem.every(2).blocks
+    assert half.positions is None
+    one = replace(at, object_field=found.object_field[0], positions=np.ones((len(half.gain), 2)))
+    assert one.every(3).object_field.shape == found.object_field[0, ::3].shape
+    assert len(one.every(3).positions) == len(one.positions[::3])
+
+
+def test_a_hologram_without_a_solution_is_solved_from_its_neighbours(sweep, found):
+    number = int(LOST[3])
+    misfit, amplitude = found.misfit.copy(), found.amplitude_rad.copy()
+    misfit[number], amplitude[number] = np.inf, 0
+    rough = replace(found, misfit=misfit, amplitude_rad=amplitude)
+    there = _refined(Level.of(sweep.block_amplitudes, sweep.basis), rough)
+    assert np.isfinite(there.misfit).all()
+    assert same_fringe(there.amplitude_rad[number], found.amplitude_rad[number])
+
+
+def test_few_odd_gains_are_in_order_and_no_hologram_far_from_its_noise(found):
+    gain = np.zeros(len(found.gain))
+    gain[:2] = 5 * found.gain_nepers
+    right = replace(found, gain=gain)
+    assert _in_order(right)
+    gain = gain.copy()
+    gain[2] = -5 * found.gain_nepers
+    assert not _in_order(replace(right, gain=gain))
+    reached = found.reached.copy()
+    reached[7] = False
+    assert not _in_order(replace(right, reached=reached))
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_gains_that_wrong_fringes_needed_do_not_count(sweep, found, monkeypatch, wrong):
+    """Once a group has moved, the scatter of gains is found again."""
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
+    moved = []
+
+    def in_right(_sweep, at, step, *_):
+        if not wrong or moved:
+            return at, step
+        moved.append(True)
+        amplitude = at.amplitude.copy()
+        amplitude[LOST] *= 0.3
+        return replace(at, amplitude=amplitude), step
+
+    monkeypatch.setattr(solved_sweep, "in_right_fringes", in_right)
+    monkeypatch.setattr(solved_sweep, "gain_scatter", lambda *_: 0.01 if moved else 0.05)
+    everything = np.ones(len(found.gain), bool)
+    there = solved_sweep.finished(level, found.solution, everything, found.change)
+    assert there.gain_nepers == (0.01 if wrong else 0.05)
 
 
 def test_without_fringes_no_displacement_is_in_a_wrong_one(problem, found):
@@ -107,9 +189,10 @@ def test_neighbours_of_a_pole_are_its_response_wherever_it_is(position, loss):
     assert _off_a_pole(before, 3 * high, after) == pytest.approx(np.log(3))
 
 
-def test_the_best_path_is_that_of_all_paths():
+@pytest.mark.parametrize("seed", range(8))
+def test_the_best_path_is_that_of_all_paths(seed):
     """Against a search through all of them."""
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(seed)
     counts = 2, 1, 3, 2, 3
     candidates = [
         _Candidates(rng.normal(size=(s, 4)) + 1j * rng.normal(size=(s, 4)), np.zeros(s))

@@ -308,3 +308,28 @@ def test_a_better_optimum_takes_the_certificate_of_a_worse_one_away() -> None:
     again = refit_without_effects(problem, worse, [good])
     assert again.estimate.cost == pytest.approx(good.estimate.cost, abs=0.1)
     assert (again.estimate.consistent_starts, again.estimate.starts) == (2, 2)
+
+
+def test_a_better_optimum_is_looked_for_until_two_searches_agree(monkeypatch) -> None:
+    problem = measured(14, bench(fade_per_h=0.5))
+    good = without_effects(problem, [np.zeros(1)])
+    costly = replace(good.estimate, cost=good.estimate.cost + 50, starts=2, consistent_starts=2)
+    worse = replace(good, estimate=costly, log_evidence=good.log_evidence - 25)
+    for agree, said in (([1, 1, 2], 2), ([1] * 9, 1)):
+        turns, begun = iter(agree), []
+
+        def ended(_problem, starts, begun=begun, turns=turns):
+            if len(starts) == 1:
+                return replace(good, estimate=replace(good.estimate, starts=1))
+            begun.append(starts)
+            found = replace(
+                good.estimate, z=np.array([len(begun)]), starts=2, consistent_starts=next(turns)
+            )
+            return replace(good, estimate=found)
+
+        monkeypatch.setattr("diagnosis.inference.candidate_search.without_effects", ended)
+        again = refit_without_effects(problem, worse, [good])
+        assert (again.estimate.consistent_starts, len(begun)) == (said, 3 if said == 2 else 4)
+        # Each begins where the last one has ended, and from another place near it.
+        assert [float(first[0]) for first, _ in begun[1:]] == [1.0, 2.0, 3.0][: len(begun) - 1]
+        assert len({float((near - first)[0]) for first, near in begun}) == len(begun)

@@ -14,6 +14,7 @@ import numpy as np
 
 from diagnosis.inference.effect_scan import Scan, Start, scan_again
 from diagnosis.inference.estimation import (
+    LEAST_DECREMENT,
     SAME_COST,
     MapEstimate,
     absorbed_part,
@@ -36,9 +37,10 @@ from physics.parameters.tree import BenchParameters
 
 # Searches end where a step gains less than this share of the cost: hundredths of a nat.
 _LEAST_GAIN = 1e-4
-# Slopes are taken again until nothing moves by more than this, in prior standard deviations, and at
-# most so often. Chosen: within a third, they change the cost by less than a tenth of a nat.
-_AT_REST, _MOST_TURNS = 0.35, 5
+# Slopes are computed again until nothing moves by more than this, in prior standard deviations, and
+# the next step would gain nothing; at most this often. Chosen: within a third, slopes change the
+# cost by less than a tenth of a nat, and most searches need five turns.
+_AT_REST, _MOST_TURNS = 0.35, 12
 
 
 @dataclass(frozen=True)
@@ -312,7 +314,8 @@ def _followed(
             residuals = partial(_residuals, problem, model, near)
             slopes = partial(_held, _slopes(problem, effects, residuals, z))
             found = fit(residuals, positive, [z], slopes, _LEAST_GAIN)
-            if np.abs(found.z - z).max() < _AT_REST:
+            still = np.abs(found.z - z).max() < _AT_REST
+            if still and found.decrement < LEAST_DECREMENT:
                 break
             z = found.z
     return found

@@ -22,6 +22,7 @@ from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_unknown
 from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.estimation import SAME_COST, marginalised_signature
+from diagnosis.inference.null_starts import starts_without_effects
 from diagnosis.inference.probabilities import (
     NONE,
     PRIOR,
@@ -119,9 +120,8 @@ def select_model(
         Called with the fraction that is done.
     """
     report = progress or (lambda _share: None)
-    rng, count = np.random.default_rng(SEED), len(effects)
-    nothing = np.zeros(len(problem.nuisances))
-    null = without_effects(problem, [nothing, 0.5 * rng.standard_normal(len(nothing))])
+    count = len(effects)
+    null = without_effects(problem, starts_without_effects(problem))
     report(0.2)
     alone = each_alone(problem, null, effects)
     report(0.5)

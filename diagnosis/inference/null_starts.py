@@ -1,0 +1,79 @@
+"""Where the fit of the model without effects begins.
+
+An acoustic resonance and sound that goes around the reed add with their phases. Two chambers may
+therefore explain the same excitation peaks nearly as well, far apart, and a search from the
+prior's centre ends in the nearer of them. Everything else is nearly linear there: chambers are
+drawn from their prior, everything else is fitted to each of them in one step, and searches begin at
+the best of these.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from diagnosis.inference.problem import InferenceProblem
+from holography.arrays import Array
+from physics.errors import ImpossibleReedError
+
+# Families of nuisances whose sounds add with their phases.
+_INTERFERING = frozenset({"known resonance", "bypass"})
+# Chambers that are tried, a power of two for Sobol's points. Chosen: of five nuisances, each is
+# tried at three places, whatever the others are.
+_TRIED = 256
+# Searches that begin at the best of them. Chosen: two that agree confirm each other.
+_STARTS = 2
+# Chambers that differ by less, in prior standard deviations, are one start. Chosen.
+_APART = 0.5
+
+
+def starts_without_effects(problem: InferenceProblem) -> list[Array]:
+    """Return starts (p,) of the nuisances: those of the best chambers, then the prior's centre.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+
+    Raises
+    ------
+    ImpossibleReedError
+        If the reed at the prior's centre is impossible.
+    """
+    centre = np.zeros(len(problem.nuisances))
+    free = np.array([nuisance.family in _INTERFERING for nuisance in problem.nuisances])
+    if not free.any():
+        return [centre]
+    tried = _drawn(problem, free)
+    costs = np.array([cost for cost, _ in tried])
+    best: list[Array] = []
+    for number in np.argsort(costs):
+        z = tried[number][1]
+        if np.isfinite(costs[number]) and all(np.abs(z - o)[free].max() > _APART for o in best):
+            best.append(z)
+        if len(best) == _STARTS:
+            break
+    return [*best, centre]
+
+
+def _drawn(problem: InferenceProblem, free: NDArray[np.bool_]) -> list[tuple[float, Array]]:
+    """Return costs and nuisances of chambers from the prior, everything else fitted linearly."""
+    centre = np.zeros(len(free))
+    near = problem.parameters(centre)
+    slopes = problem.jacobian(centre)[:, ~free]
+    known = linalg.cho_factor(np.eye(slopes.shape[1]) + slopes.T @ slopes)
+    # The first half of the points has one at minus infinity.
+    points = qmc.Sobol(int(free.sum()), scramble=False).random(2 * _TRIED)[_TRIED:]
+    found: list[tuple[float, Array]] = []
+    for chamber in ndtri(points):
+        z = centre.copy()
+        z[free] = chamber
+        try:
+            left = problem.residuals(problem.parameters(z), near)
+        except ImpossibleReedError:
+            found.append((np.inf, z))
+            continue
+        z[~free] = -linalg.cho_solve(known, slopes.T @ left)
+        left = left + slopes @ z[~free]
+        found.append((float(left @ left + z @ z), z))
+    return found

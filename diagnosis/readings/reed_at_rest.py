@@ -73,7 +73,8 @@ def _still(parts: Sequence[CampaignRun], clamping: int) -> RestHolograms:
     for number, part in enumerate(parts):
         run, before = part.run, None
         fields = []
-        for step in part.good_steps:
+        # A step that was measured again, or out of turn, comes later than its number says.
+        for step in sorted(part.good_steps, key=lambda step: step.timestamps_s[0]):
             frames = run.frames(step.position)
             halves = run.reconstruction.quadratures(frames)
             field, phase = halves.field, run.reconstruction.steady_turn(frames, halves)

@@ -21,6 +21,7 @@ from diagnosis.observables.reed_at_rest import phase_turn_group, usual_scatter_h
 from diagnosis.readings.camera import read_dark, read_flat
 from diagnosis.readings.campaign_readings import _missing
 from diagnosis.readings.carrier import read_carriers
+from diagnosis.readings.reed_at_rest import read_rest_holograms
 from diagnosis.readings.step_log import read_step_log
 from diagnosis.readings.sweeps import TEMPLATES
 from fitting.errors import FitError, FitInputError
@@ -274,3 +275,31 @@ def test_holograms_that_are_no_numbers_are_refused_by_name(field, noise) -> None
         FitError, match=r"up\.h5: step 7 is said to be ok, but its field or its noise"
     ):
         _holograms(run, [step], blocks, None)
+
+
+def test_light_at_rest_is_read_in_the_order_of_time() -> None:
+    """The first step is measured last: its shutter was closed."""
+    begun_s, turn_hz = [3.0, 1.0, 2.0], 0.01
+    rng = np.random.default_rng(2)
+    light = 50 * (rng.standard_normal((6, 5)) + 1j * rng.standard_normal((6, 5)))
+
+    def quadratures(frames):
+        turned = light * np.exp(2j * np.pi * turn_hz * frames[0, 0, 0])
+        return SimpleNamespace(field=turned, noise=0.0)
+
+    phase = SimpleNamespace(error_rad=0.0, standard_error_rad=1e-3)
+    run = SimpleNamespace(
+        frames=lambda position: np.full((4, 6, 5), begun_s[position]),
+        reconstruction=SimpleNamespace(
+            quadratures=quadratures, steady_turn=lambda _frames, _halves: phase
+        ),
+    )
+    steps = [
+        SimpleNamespace(position=k, timestamps_s=(at,), difference_hz=0.0)
+        for k, at in enumerate(begun_s)
+    ]
+    part = SimpleNamespace(run=run, clamping=0, clock_s=0.0, good_steps=steps)
+    (still,) = read_rest_holograms([part])
+    np.testing.assert_array_equal(still.time_s, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(still.gap_s, [1.0, 1.0])
+    np.testing.assert_allclose(still.turn_rad, 2 * np.pi * turn_hz, rtol=1e-9)

@@ -259,6 +259,8 @@ class ReedMode:
         Name of the mode, such as F1.
     hz, loss_factor : float
         Resonance frequency and loss factor.
+    stiffening : float
+        Exponent by which the stiffness of the mode grows with frequency, as its cane does.
     coordinates : (s,) float
         Mode shape, see `physics.reed.reduced.vibrations.Vibrations`.
     """
@@ -266,6 +268,7 @@ class ReedMode:
     name: str
     hz: float
     loss_factor: float
+    stiffening: float
     coordinates: Array
 
 
@@ -346,7 +349,8 @@ class ReedSolver:
             if reed.coarse_share:
                 octaves = self._coarse().get(name, 0.0) / 1200
                 hz *= 2 ** (reed.coarse_share * follow[m] * octaves)
-            modes[name] = ReedMode(name, hz, float(loss[m]), found.coordinates[:, m])
+            grown = float(2 - 2 / follow[m])
+            modes[name] = ReedMode(name, hz, float(loss[m]), grown, found.coordinates[:, m])
         return MappingProxyType(modes)
 
     def _vibrations_of(self, reed: Mechanics) -> Vibrations:

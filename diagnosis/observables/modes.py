@@ -225,8 +225,9 @@ def _prediction(
     names = np.array([common.index(name) for _, name, _ in rows])
     loss = np.array([what.startswith("loss") for _, _, what in rows])
     found = [dict(zip(s.names, s.hz.tolist(), strict=True)) for s in sweeps]
-    times_s, deepest_rad = np.empty(len(rows)), np.empty(len(rows))
+    times_s, deepest_rad, assumed = (np.empty(len(rows)) for _ in range(3))
     for r, (s, name, _) in enumerate(rows):
+        assumed[r] = sweeps[s].stiffening[sweeps[s].names.index(name)]
         sweep, log_hz = sweeps[s], np.log(found[s][name])
         times_s[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s))
         near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
@@ -240,7 +241,10 @@ def _prediction(
         if missing:
             raise ImpossibleReedError(f"a reed of this kind has no mode {missing[0]}")
         hz = np.array([modes[name].hz for name in common])[names]
+        grown = np.array([modes[name].stiffening for name in common])[names]
         eta = np.array([modes[name].loss_factor for name in common])[names]
+        # As fits see it, which take the growth of mean cane.
+        eta = eta * (2 - assumed) / (2 - grown)
         around = parameters.environment
         change = change_of_cane(parameters.reed.cane, around, condition_at(around, times_s), hz)
         shift = by_E[names] * change.E_L + by_G[names] * change.G_LT

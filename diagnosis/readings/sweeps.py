@@ -52,6 +52,9 @@ class SweepReading:
     names : tuple of str
         Of the a identified modes.
     hz, loss_factor : (a,) float
+    stiffening : (a,) float
+        Exponent by which stiffness grows with frequency, as the loss factors assume it. Only the
+        loss factor over 2 less this exponent is seen (decision 0029).
     covariance : (2a, 2a) float
         Of log frequencies, then of log losses.
     force_rad : (a,) complex
@@ -102,6 +105,7 @@ class SweepReading:
     names: tuple[str, ...]
     hz: Array
     loss_factor: Array
+    stiffening: Array
     covariance: Array
     force_rad: ComplexArray
     force_error: Array
@@ -334,7 +338,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         return None
     modal, phasors, found = fitted.modal, fitted.block_amplitudes, fitted.displacements
     kept, a = _kept(fitted), len(modal.names)
-    both = np.concatenate([kept, a + kept])
+    both, names = np.concatenate([kept, a + kept]), tuple(modal.names[m] for m in kept)
     by_index = {
         step.index: step for step in part.run.steps if step.order == part.run.sideband_order
     }
@@ -355,9 +359,10 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     return SweepReading(
         name=part.name,
         clamping=part.clamping,
-        names=tuple(modal.names[m] for m in kept),
+        names=names,
         hz=modal.hz[kept],
         loss_factor=modal.loss_factor[kept],
+        stiffening=fitted.basis.stiffening[[fitted.basis.names.index(n) for n in names]],
         covariance=modal.covariance[np.ix_(both, both)],
         force_rad=np.exp(at_own) * modal.participation[kept],
         force_error=modal.participation_error[kept] / np.abs(modal.participation[kept]),

@@ -40,7 +40,10 @@ class FewModes:
     """A reed_solver whose reeds have four modes, whatever their cane is."""
 
     def modes(self, _reed):
-        return {name: SimpleNamespace(hz=hz, loss_factor=0.02) for name, hz in MODES.items()}
+        return {
+            name: SimpleNamespace(hz=hz, loss_factor=0.02, stiffening=0.2)
+            for name, hz in MODES.items()
+        }
 
 
 def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed):
@@ -53,6 +56,7 @@ def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed
         "names": names,
         "hz": np.array([MODES.get(mode, 9000.0) for mode in names]),
         "loss_factor": np.full(a, 0.02),
+        "stiffening": np.full(a, 0.2),
         "covariance": 1e-8 * np.eye(2 * a),
         "force_rad": np.ones(a, complex),
         "force_error": np.full(a, 0.01),

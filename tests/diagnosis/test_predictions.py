@@ -137,7 +137,7 @@ def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
         "log_drive": np.zeros(count), "log_drive_covariance": np.zeros((count, count)),
         "off": np.zeros(count, bool), "taken_off": 0.0,
         "deepest_rad": np.full(count, 3.0), "amplitude_rad": np.ones(count),
-        "names": (), "hz": np.zeros(0), "loss_factor": np.zeros(0),
+        "names": (), "hz": np.zeros(0), "loss_factor": np.zeros(0), "stiffening": np.zeros(0),
     }  # fmt: skip
     return SimpleNamespace(**(fields | own))
 
@@ -287,20 +287,25 @@ def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_thr
 
 
 NAMES, BENDING = ("F1", "T1"), np.array([0.9, 0.2])
+GROWN = 0.2
 
 
 def of_moduli(reed):
     """Modes whose squared frequencies go with E_L and G_LT by their shares of bending."""
     log = BENDING * reed.shift.E_L + (1 - BENDING) * reed.shift.G_LT
     hz = np.array([2e3, 5e3]) * np.exp(0.5 * log) * (1 - 0.01 * (reed.air_share - 1))
-    return {n: SimpleNamespace(hz=f, loss_factor=0.03) for n, f in zip(NAMES, hz, strict=True)}
+    grown = GROWN + BENDING * reed.shift.growth_E_L + (1 - BENDING) * reed.shift.growth_G_LT
+    return {
+        n: SimpleNamespace(hz=f, loss_factor=0.03, stiffening=g)
+        for n, f, g in zip(NAMES, hz, grown, strict=True)
+    }
 
 
 @pytest.fixture(scope="module")
 def modes():
     """Predict cents, then losses in per cent, of two modes at rest for 1 h 40 min, at 10 rad."""
     one = sweep(begun_s=6000.0, names=NAMES, hz=np.array([2e3, 5e3]),
-                deepest_rad=np.full(160, 10.0))  # fmt: skip
+                stiffening=np.full(2, GROWN), deepest_rad=np.full(160, 10.0))  # fmt: skip
     rows = [(0, name, what) for what in ("frequency, cents", "loss, %") for name in NAMES]
     predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli))
     return lambda parameters: predict(parameters) - predict(BenchParameters())
@@ -312,6 +317,26 @@ def test_frequencies_are_in_cents_and_losses_in_per_cent(modes) -> None:
     assert air == pytest.approx([1200 * np.log2(0.99)] * 2 + [0.0, 0.0])
     stiffer = modes(with_cane(BenchParameters(), E_L=0.02))
     assert stiffer == pytest.approx([1200 * np.log2(np.exp(0.01 * b)) for b in BENDING] + [0, 0])
+
+
+def test_losses_are_those_that_a_fit_states_whose_cane_grows_otherwise(modes) -> None:
+    """Of a resonance, the loss factor over 2 less the growth of its stiffness is seen."""
+    stiffer = modes(with_cane(BenchParameters(), growth_E_L=0.1, growth_G_LT=-0.05))
+    grown = GROWN + BENDING * 0.1 - (1 - BENDING) * 0.05
+    assert stiffer[2:] == pytest.approx(100 * np.log((2 - GROWN) / (2 - grown)))
+    assert stiffer[:2] == pytest.approx([0.0, 0.0])
+
+
+def test_a_fit_that_takes_another_growth_states_another_loss() -> None:
+    rows = [(0, "F1", "loss, %"), (1, "F1", "loss, %")]
+    sweeps = [
+        sweep(begun_s=0.0, names=("F1",), hz=np.array([2e3]), stiffening=np.array([each]))
+        for each in (GROWN, 0.0)
+    ]
+    predict = _prediction(rows, ["F1"], sweeps, SimpleNamespace(modes=of_moduli))
+    own, elastic = predict(BenchParameters())
+    assert own == pytest.approx(100 * np.log(0.03))
+    assert elastic - own == pytest.approx(100 * np.log(2 / (2 - GROWN)))
 
 
 def storage(spring, arm, dashpot):

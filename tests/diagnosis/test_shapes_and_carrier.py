@@ -35,7 +35,7 @@ def modes(reed):
     shapes = dict(zip(NAMES, np.eye(3), strict=True))
     if reed.alterations:
         shapes["F1"] = np.array([1.0, *OF_OTHERS])
-    return {n: ReedMode(n, hz, 0.03, shapes[n]) for n, hz in zip(NAMES, HZ, strict=True)}
+    return {n: ReedMode(n, hz, 0.03, 0.2, shapes[n]) for n, hz in zip(NAMES, HZ, strict=True)}
 
 
 MODEL = SimpleNamespace(plan_m=PLAN, loose=HALVES, starts=(0, 2))

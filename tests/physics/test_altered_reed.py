@@ -244,6 +244,26 @@ def test_stiffer_cane_is_faster_by_the_root(reed_solver):
         assert np.abs(cents(changed, plain * np.exp(power * log))).max() < 1e-3
 
 
+def test_stiffness_grows_with_that_of_the_modulus_by_its_share(reed_solver):
+    """Of elastic cane without air nothing grows; a modulus that grows as f^g adds g of its share.
+
+    If all of a mode's stiffness grows as f^g, its frequency rises by 1 / (2 − g) of any log factor
+    on the stiffness: the share is that derivative by E_L, times 2.
+    """
+    elastic = Mechanics(cane=ELASTIC, air_share=0.0)
+    growth, step = 0.1, 1e-3
+    growing = replace(elastic, shift=CaneShift(growth_E_L=growth))
+    stiffer = replace(elastic, shift=CaneShift(E_L=step))
+    rest, grown, up = (reed_solver.modes(each) for each in (elastic, growing, stiffer))
+    for name in ("F1", "T1", "F2", "T2"):
+        assert rest[name].stiffening == pytest.approx(0.0, abs=1e-6)
+        share = 2 * np.log(up[name].hz / rest[name].hz) / step
+        # The shape follows the moduli, which changes shares a little.
+        assert grown[name].stiffening == pytest.approx(growth * share, abs=0.05 * growth)
+    assert grown["F1"].stiffening > 0.8 * growth
+    assert grown["T1"].stiffening < 0.5 * growth
+
+
 def test_a_yielding_clamp_lowers_all_modes_the_more_the_more_it_yields(reed_solver):
     each = [
         frequencies(reed_solver, Mechanics(alterations=((YieldingClamp(), yielding),)))[:12]

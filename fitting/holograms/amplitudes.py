@@ -14,7 +14,7 @@ from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
 _SLOW = 3.0
 # Least scatter of gains: power of a stabilised laser (data sheets: 0.2 %), and how many holograms
 # must show their own gain.
-LEAST_GAIN_NEPERS, _FEWEST_GAINS = 0.002, 8
+LEAST_GAIN_NEPERS, FEWEST_GAINS = 0.002, 8
 # Prior standard deviation of amplitudes, rad: weak, for directions that the data do not determine.
 FINAL_RAD = 10.0
 # Steps end when they are expected to gain less, in half of χ²: all coordinates together are then
@@ -140,7 +140,7 @@ def gain_scatter(problem: Problem, gain: Array, matrix: Array) -> float:
     known = matrix[:, -1, -1] - np.sum(coupling * along, axis=(1, 2))
     # Half of the precision, as the misfit is half of χ².
     sure = known > 0.5 / GAIN_NEPERS**2
-    if np.count_nonzero(sure) < _FEWEST_GAINS:
+    if np.count_nonzero(sure) < FEWEST_GAINS:
         return GAIN_NEPERS
     known = np.where(sure, known, 0)
     # Without what the prior does to them.

@@ -19,7 +19,12 @@ from fitting.holograms.alternating_minimisation import (
     whole_cost,
     with_field,
 )
-from fitting.holograms.amplitudes import LEAST_GAIN_NEPERS, block_object_field, gain_scatter
+from fitting.holograms.amplitudes import (
+    FEWEST_GAINS,
+    LEAST_GAIN_NEPERS,
+    block_object_field,
+    gain_scatter,
+)
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import (
@@ -37,7 +42,12 @@ from fitting.holograms.object_field import (
 )
 from fitting.holograms.problem import Problem
 from fitting.holograms.right_fringes.retries import in_right_fringes, relative_misfit, unexplained
-from fitting.holograms.right_fringes.trials import same_fringe, with_wrong_gain
+from fitting.holograms.right_fringes.trials import (
+    in_other_fringes,
+    same_fringe,
+    with_fringes,
+    with_wrong_gain,
+)
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.within_blocks import spread_slopes
 from holography.arrays import Array, Complex64Array, ComplexArray, IndexArray
@@ -222,20 +232,27 @@ def with_steady_light(few: Level, found: Displacements) -> Displacements:
 
     In a wrong fringe near the first maximum of J₁, a hologram needs another brightness. Holograms
     of which some are in wrong fringes seem to scatter in brightness, and stay there with this
-    scatter. The median deviation is the scatter of most, whatever a few need.
+    scatter. The median deviation is the scatter of most, whatever a few need; holograms without
+    fringes do not determine their brightness.
     """
     solved = np.flatnonzero(np.isfinite(found.misfit))
-    scatter_of_most = float(median_abs_deviation(found.gain[solved], scale="normal"))
-    usual_nepers = max(scatter_of_most, LEAST_GAIN_NEPERS)
-    wrong = with_wrong_gain(found.gain[solved], usual_nepers)
-    if not wrong.size and found.gain_nepers < _LIKE_MOST * usual_nepers:
-        return found
     problem = replace(few.problem, gain_nepers=found.gain_nepers).some(solved)
     at = _some(found.solution, solved)
+    seen = at.gain[with_fringes(problem, at.amplitude)]
+    if len(seen) < FEWEST_GAINS:
+        return found
+    scatter_of_most = float(median_abs_deviation(seen, scale="normal"))
+    usual_nepers = max(scatter_of_most, LEAST_GAIN_NEPERS)
+    steady_enough = found.gain_nepers < _LIKE_MOST * usual_nepers
+    if steady_enough and not with_wrong_gain(seen, usual_nepers).size:
+        return found
     change = found.change or FieldChange(0.0, 0.0)
     sweep = Sweep(problem, problem.exact(), few.smooth, change)
     steady = sweep.with_gains(usual_nepers, change)
     tried, step = in_right_fringes(steady, *settled(steady, at, _MOST_TURNS), _MOST_TURNS)
+    if steady_enough and not in_other_fringes(problem, at.amplitude, tried.amplitude).size:
+        # The odd gains are no sign of wrong fringes.
+        return found
     scatter_nepers = gain_scatter(steady.problem, tried.gain, step.linear.normal.matrix)
     change = _change_of(steady.problem, tried, step)
     there = steady.with_gains(scatter_nepers, change)

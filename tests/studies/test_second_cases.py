@@ -63,7 +63,8 @@ def different(a, b):
 
 @pytest.fixture(scope="module")
 def clean():
-    return draw_case("clean", "ordinary", 5, 2)
+    """A case whose camera has a dark pattern that four frames show: 1.9 e, with 6.5 e of noise."""
+    return draw_case("clean", "ordinary", 5, 4)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +144,7 @@ def test_another_clamping_and_another_day_differ(clean, campaign, tmp_path):
     assert second["up", "entry/start_time"].item() > first["up", "entry/start_time"].item()
     dark = [c["dark", "entry/data/frames"].astype(float).mean((0, 1)) for c in (first, second)]
     # The same camera: its pattern is there again, and its noise is not.
-    assert 0.02 < np.corrcoef(dark[0].ravel(), dark[1].ravel())[0, 1] < 0.99
+    assert 0.1 < np.corrcoef(dark[0].ravel(), dark[1].ravel())[0, 1] < 0.99
     assert dark[0].mean() == pytest.approx(dark[1].mean(), abs=1.0)
 
 

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from diagnosis.observables.sensor import dark_group, flat_group, local_oscillator_group
-from diagnosis.readings.camera import half_m, read_dark, read_flat, read_local_oscillator
+from diagnosis.readings.camera import (
+    LocalOscillatorFrames,
+    half_m,
+    read_dark,
+    read_flat,
+    read_local_oscillator,
+)
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters, with_part
 
@@ -138,6 +144,24 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
         BenchParameters(), "optics.illumination", local_oscillator_shift_m=(4e-3, -2e-3)
     )
     assert np.abs(block.whitened_residual(shifted)).max() < 3
+
+
+def test_a_narrow_beam_tilts_by_more_for_as_much_out_of_the_middle() -> None:
+    half_y, half_x = half_m(SENSOR)
+
+    def tilts(waist_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tilt by one millimetre, and its standard error, for rows and columns."""
+        by_shift = 4 * 1e-3 * np.array([half_y, half_x]) / waist_m**2
+        bend = -2 * (half_y**2 + half_x**2) / waist_m**2
+        block = local_oscillator_group(LocalOscillatorFrames(by_shift, bend), SENSOR)
+        return by_shift, np.sqrt(np.diag(block.covariance))[:2]
+
+    for waist_m in (5e-3, 9e-3, 15e-3):
+        # Dust and a cover glass add a third of a per cent.
+        by_shift, error = tilts(waist_m)
+        np.testing.assert_allclose(error, np.hypot(by_shift, 3e-3), rtol=1e-6)
+    # One that is wider than usual, or bends the other way, is as sure as a usual one.
+    np.testing.assert_allclose(tilts(60e-3)[1], tilts(15e-3)[1])
 
 
 def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are() -> None:

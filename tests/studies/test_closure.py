@@ -51,7 +51,7 @@ SHOWN: dict[str, tuple[SmallCampaign, set[str], float]] = {
     "carrier_leak": (LIGHT, {"carrier"}, 1.0),
     "phase_step_error": (LIGHT, {"lock", "light at rest"}, 1.0),
     "bench_vibration": (LIGHT, {"scatter of phases"}, 3.0),
-    "lo_misalignment": (CAMERA, {"local oscillator"}, 4.0),
+    "lo_misalignment": (CAMERA, {"local oscillator"}, 2.0),
     "vignetting": (CAMERA, {"even light", "local oscillator"}, 2.0),
     "fixed_pattern_noise": (CAMERA, {"even light"}, 2.0),
     "hot_pixels": (CAMERA, {"dark frames"}, 2.0),

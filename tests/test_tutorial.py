@@ -94,7 +94,9 @@ def test_the_tutorial_works_as_it_is_written(tmp_path):
 
     diagnosis = answers["acquire diagnose campaign --out diagnosis.html"]
     assert diagnosis["verdict"] == "effect"
-    assert diagnosis["effects_named"] == ["bench_vibration"]
+    assert diagnosis["effects_named"] == ["synthesizer_detuning"]
     assert diagnosis["gap"]["first_failing_observable"] == "hologram"
-    assert diagnosis["probability"]["bench_vibration"] > 0.5
+    assert diagnosis["probability"]["synthesizer_detuning"] > 0.5
+    offset = diagnosis["effects"]["synthesizer_detuning"]["sizes"]["offset"]
+    assert abs(offset["value"] - 0.1) < 4 * offset["error"] < 0.05
     assert (shell.folder / "diagnosis.html").stat().st_size > 10_000

@@ -333,3 +333,13 @@ def test_a_better_optimum_is_looked_for_until_two_searches_agree(monkeypatch) ->
         # Each begins where the last one has ended, and from another place near it.
         assert [float(first[0]) for first, _ in begun[1:]] == [1.0, 2.0, 3.0][: len(begun) - 1]
         assert len({float((near - first)[0]) for first, near in begun}) == len(begun)
+
+
+def test_what_moves_no_number_by_a_thousandth_of_its_error_is_undetectable() -> None:
+    (size,) = EFFECTS[0].parameters
+    for most, seen in ((1e-5, False), (6.0, True)):
+        effect = replace(EFFECTS[0], parameters=(replace(size, most=most),))
+        # The error of a number is 0.05: the weak one moves it by 2e-4 of that.
+        found = select_model(measured(1, bench()), (effect,))
+        assert (effect.id in found.single) is seen
+        assert (effect.id in found.undetectable) is not seen

@@ -15,7 +15,6 @@ from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import UnshiftedLight
 from fitting.holograms.displacement import explained_amplitudes
 from fitting.holograms.right_fringes.trials import SAME_FRINGE
-from fitting.holograms.shape_basis import ShapeBasis
 from fitting.modal.identify import JointFit, fit_jointly, series_of
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.refit import fit_same_reed, fit_without_unshifted
@@ -363,7 +362,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         names=names,
         hz=modal.hz[kept],
         loss_factor=modal.loss_factor[kept],
-        stiffening=stiffening_of(fitted.basis, names),
+        stiffening=fitted.basis.stiffening_of(names),
         covariance=modal.covariance[np.ix_(both, both)],
         force_rad=np.exp(at_own) * modal.participation[kept],
         force_error=modal.participation_error[kept] / np.abs(modal.participation[kept]),
@@ -392,12 +391,6 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         discrepancy=modal.discrepancy,
         taken_off=taken_off,
     )
-
-
-def stiffening_of(basis: ShapeBasis, names: Sequence[str]) -> Array:
-    """Return the exponents (a,) that loss factors of modes of these names assume."""
-    by_name = dict(zip(basis.names, basis.stiffening.tolist(), strict=True))
-    return np.array([by_name[name] for name in names])
 
 
 def _signal(fitted: JointFit, noise: Array) -> Array:

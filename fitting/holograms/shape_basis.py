@@ -65,6 +65,10 @@ class ShapeBasis:
     sound_hz: Array
     sound: Array
 
+    def stiffening_of(self, names: Sequence[str]) -> Array:
+        """Return the exponents (a,) of modes of these names."""
+        return self.stiffening[[self.names.index(name) for name in names]]
+
 
 def shape_basis(
     reed: ReducedReed,

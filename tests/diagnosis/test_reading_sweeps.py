@@ -9,7 +9,7 @@ import pytest
 from scipy.special import j1
 
 from diagnosis.readings import sweeps as sweep_readings
-from diagnosis.readings.sweeps import TEMPLATES, _templates, stiffening_of
+from diagnosis.readings.sweeps import TEMPLATES, _templates
 from fitting.errors import FitError
 
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
@@ -142,9 +142,3 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
     found = np.sum(weight * template[TEMPLATES.index("decorrelation")].real) / np.sum(weight)
     # What displacements and gains take up is not of the same size in every hologram.
     assert found == pytest.approx(loss, rel=0.05)
-
-
-def test_stiffening_is_that_of_the_name_in_whatever_order() -> None:
-    names, grown = ("F1", "T1", "F3", "T3"), np.array([0.1, 0.2, 0.3, 0.4])
-    basis = SimpleNamespace(names=names, stiffening=grown)
-    np.testing.assert_array_equal(stiffening_of(basis, ("T3", "F3", "F1")), [0.4, 0.3, 0.1])

@@ -214,3 +214,8 @@ def modal_mass_kg(reed, points, hz):
 
 def is_even(column):
     return np.dot(column, mirrored(column)) > 0
+
+
+def test_stiffening_is_that_of_the_name_in_whatever_order(basis):
+    names = basis.names[5], basis.names[0], basis.names[2]
+    np.testing.assert_array_equal(basis.stiffening_of(names), basis.stiffening[[5, 0, 2]])

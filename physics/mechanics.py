@@ -260,7 +260,7 @@ class ReedMode:
     hz, loss_factor : float
         Resonance frequency and loss factor.
     stiffening : float
-        Exponent by which the stiffness of the mode grows with frequency, as its cane does.
+        Exponent of the growth of the mode's stiffness with frequency, by its cane and its air.
     coordinates : (s,) float
         Mode shape, see `physics.reed.reduced.vibrations.Vibrations`.
     """

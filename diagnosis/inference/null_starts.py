@@ -7,12 +7,14 @@ drawn from their prior, everything else is fitted to each of them in one step, a
 the best of these.
 """
 
+import contextlib
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
 from holography.arrays import Array
 from physics.errors import ImpossibleReedError
@@ -44,12 +46,9 @@ def starts_without_effects(problem: InferenceProblem) -> list[Array]:
     free = np.array([nuisance.family in _INTERFERING for nuisance in problem.nuisances])
     if not free.any():
         return [centre]
-    tried = _drawn(problem, free)
-    costs = np.array([cost for cost, _ in tried])
     best: list[Array] = []
-    for number in np.argsort(costs):
-        z = tried[number][1]
-        if np.isfinite(costs[number]) and all(np.abs(z - o)[free].max() > _APART for o in best):
+    for _, z in sorted(_drawn(problem, free), key=lambda drawn: drawn[0]):
+        if all(np.abs(z - other)[free].max() > _APART for other in best):
             best.append(z)
         if len(best) == _STARTS:
             break
@@ -57,23 +56,20 @@ def starts_without_effects(problem: InferenceProblem) -> list[Array]:
 
 
 def _drawn(problem: InferenceProblem, free: NDArray[np.bool_]) -> list[tuple[float, Array]]:
-    """Return costs and nuisances of chambers from the prior, everything else fitted linearly."""
+    """Return costs and nuisances (p,) of possible chambers; everything else is fitted linearly."""
     centre = np.zeros(len(free))
     near = problem.parameters(centre)
     slopes = problem.jacobian(centre)[:, ~free]
-    known = linalg.cho_factor(np.eye(slopes.shape[1]) + slopes.T @ slopes)
+    covariance = posterior_covariance(slopes)
     # The first half of the points has one at minus infinity.
     points = qmc.Sobol(int(free.sum()), scramble=False).random(2 * _TRIED)[_TRIED:]
     found: list[tuple[float, Array]] = []
     for chamber in ndtri(points):
         z = centre.copy()
         z[free] = chamber
-        try:
+        with contextlib.suppress(ImpossibleReedError):
             left = problem.residuals(problem.parameters(z), near)
-        except ImpossibleReedError:
-            found.append((np.inf, z))
-            continue
-        z[~free] = -linalg.cho_solve(known, slopes.T @ left)
-        left = left + slopes @ z[~free]
-        found.append((float(left @ left + z @ z), z))
+            z[~free] = -covariance @ (slopes.T @ left)
+            left = left + slopes @ z[~free]
+            found.append((float(left @ left + z @ z), z))
     return found

@@ -64,7 +64,7 @@ HIDDEN = {
     "bench_vibration": "phases of benches scatter by a factor of two more or less, and steps that "
     "scatter much more are unsteady: 2.3 standard errors at three times the typical size",
 }
-TESTED = [
+CLOSURES = [
     pytest.param(name, marks=[pytest.mark.xfail(reason=HIDDEN[name])] if name in HIDDEN else [])
     for name in SHOWN
 ]
@@ -93,7 +93,7 @@ def test_every_effect_that_needs_no_fit_is_tested_here() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TESTED)
+@pytest.mark.parametrize("name", CLOSURES)
 def test_bench_and_prediction_agree_and_either_alone_does_not(name, nothing, solver) -> None:
     small, groups, multiple = SHOWN[name]
     without, sizes = nothing(small), sizes_of(BY_ID[name], multiple)

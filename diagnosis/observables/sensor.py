@@ -1,5 +1,6 @@
 """Frames without fringes: camera, vignetting, local oscillator."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -44,7 +45,10 @@ _BENDS = BY_NAME["nonlinearity"].ordinary.root_mean_square
 # wide; their width is that of the lens that happened to be there: standard deviation of its log.
 # Dust and fringes of a cover glass, a per cent of the light in patches of 2 mm, tilt and bend it by
 # a third of that on a sensor of any size. All are chosen: no literature says how beams are centred.
-_LO_SHIFT_M, _LO_WAIST, _LO_DUST = 1e-3, 0.5, 3e-3
+_LO_SHIFT_M, _LO_WAIST, _DUST = 1e-3, 0.5, 3e-3
+# How well frames measure what is the camera's own: black levels wander by a tenth of a digital
+# number within minutes; noise is neither quite Gaussian nor evenly rounded. Chosen.
+_WANDER_DN, _NOISE_LAW = 0.1, 0.01
 
 
 def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
@@ -66,10 +70,22 @@ def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
         dark.column_excess,
     ]
     rows, columns = sensor.shape
+    variances = [dark.pixels, rows, columns]
+    noise, *lines = (np.hypot(_NOISE_LAW, np.sqrt(2 / (n * (dark.frames - 1)))) for n in variances)
+    # The root of a count of pixels, doubled, has a standard deviation of one: Poisson's law.
+    measured = np.array([_WANDER_DN, 0.5 * noise, 1.0, *lines])
     # The mean of a row has the noise of its pixels less than what they have in common.
     common = [np.log1p(length * _ROW_NOISE**2) for length in (columns, rows)]
-    hot = np.sqrt(1 + _HOT * dark.pixels)
-    errors = np.array([_OFFSET_DN, float(np.hypot(_READ_NOISE, _GAIN)), hot, *common])
+    camera = "EMVA 1288 data sheets"
+    errors = Errors(
+        measured,
+        (
+            _own("black level", [_OFFSET_DN, 0, 0, 0, 0], "set by hand"),
+            _own("noise of the camera", [0, np.hypot(_READ_NOISE, _GAIN), 0, 0, 0], camera),
+            _own("hot pixels of the camera", [0, 0, np.sqrt(_HOT * dark.pixels), 0, 0], camera),
+            _own("noise in common", [0, 0, 0, *common], BY_NAME["row_noise"].ordinary.source),
+        ),
+    )
     places = [Coordinates(name) for name in names]
     return observable_group(
         "dark frames", Observable.SENSOR, values, errors, places, ("sensor",), predict
@@ -103,7 +119,6 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
             ]
         )
 
-    several = len(signal) - 1
     values = [
         *(rate[1:] - rate[0]),
         # A sensor better than usual is not a gap.
@@ -120,17 +135,45 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
         Coordinates("tilt of the light", region="rows"),
         Coordinates("tilt of the light", region="columns"),
     ]
-    # Within an exposure, the lamp flickers from frame to frame as the means of frames show.
-    flicker = np.hypot(flat.flicker / np.sqrt(flat.frames), _LAMP)
-    noise = np.diag([flicker**2] * several + [_PATTERN_SPREAD**2, _GAIN**2] + [_UNEVEN**2] * 3)
-    noise[:several, :several] += flicker**2
-    bends = np.zeros((len(values), 1))
-    bends[:several, 0] = _BENDS * (signal[1:] - signal[0]) / full_dn
-    bend = GroupNuisances("bend", bends, DISORDER, BY_NAME["nonlinearity"].ordinary.source)
-    errors = Errors(noise, (bend,))
+    errors = _flat_errors(flat, signal, full_dn)
     return observable_group(
         "even light", Observable.SENSOR, values, errors, places, ("sensor", "optics"), predict
     )
+
+
+def _flat_errors(flat: FlatFrames, signal: Array, full_dn: float) -> Errors:
+    """Return errors of the numbers of `flat_group`, of which exposures are in order."""
+    several = len(signal) - 1
+    # Within an exposure, the lamp flickers from frame to frame as the means of frames show.
+    shown = np.hypot(flat.flicker / np.sqrt(flat.frames), _WANDER_DN / signal)
+    noise = np.diag([*shown[1:], _NOISE_LAW, _NOISE_LAW, _DUST, _DUST, _DUST]) ** 2
+    noise[:several, :several] += shown[0] ** 2
+    drifts = np.zeros((len(noise), several + 1))
+    # All rates are compared with that of the shortest exposure.
+    drifts[:several] = _LAMP * np.hstack([np.eye(several), -np.ones((several, 1))])
+    bends = np.zeros((len(noise), 1))
+    bends[:several, 0] = _BENDS * (signal[1:] - signal[0]) / full_dn
+    linear = [0.0] * several
+    return Errors(
+        noise,
+        (
+            GroupNuisances("drift of the lamp", drifts, DISORDER, "lamps that are not regulated"),
+            GroupNuisances("bend", bends, DISORDER, BY_NAME["nonlinearity"].ordinary.source),
+            _own("pattern of the camera", [*linear, _PATTERN_SPREAD, 0, 0, 0, 0], "data sheets"),
+            _own("gain of the camera", [*linear, 0, _GAIN, 0, 0, 0], "EMVA 1288 data sheets"),
+            _own(
+                "evenness of the lamp",
+                [*linear, 0, 0, *[_UNEVEN] * 3],
+                BY_NAME["lamp"].ordinary.source,
+            ),
+        ),
+    )
+
+
+def _own(name: str, deviations: Sequence[float], source: str) -> GroupNuisances:
+    """Return an amount for each number of a group whose standard deviation is not zero."""
+    columns = np.diag(np.array(deviations, dtype=float))
+    return GroupNuisances(name, columns[:, columns.any(axis=0)], DISORDER, source)
 
 
 def _filled(shown: Array, bends: float) -> Array:
@@ -166,7 +209,7 @@ def local_oscillator_group(beam: LocalOscillatorFrames, sensor: Sensor) -> Obser
         [*(4 * _LO_SHIFT_M * half * narrow for half in halves), 2 * _LO_WAIST * usual_bend]
     )
     placed = GroupNuisances("placement of the beam", columns, DISORDER, "by eye: chosen")
-    errors = Errors(np.full(len(values), _LO_DUST), (placed,))
+    errors = Errors(np.full(len(values), _DUST), (placed,))
     places = [
         Coordinates("middle", region="rows"),
         Coordinates("middle", region="columns"),

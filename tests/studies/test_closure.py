@@ -52,10 +52,10 @@ SHOWN: dict[str, tuple[SmallCampaign, set[str], float]] = {
     "phase_step_error": (LIGHT, {"lock", "light at rest"}, 1.0),
     "bench_vibration": (LIGHT, {"scatter of phases"}, 3.0),
     "lo_misalignment": (CAMERA, {"local oscillator"}, 2.0),
-    "vignetting": (CAMERA, {"even light", "local oscillator"}, 2.0),
-    "fixed_pattern_noise": (CAMERA, {"even light"}, 2.0),
-    "hot_pixels": (CAMERA, {"dark frames"}, 2.0),
-    "read_noise": (CAMERA, {"dark frames"}, 3.0),
+    "vignetting": (CAMERA, {"even light", "local oscillator"}, 1.0),
+    "fixed_pattern_noise": (CAMERA, {"even light"}, 1.0),
+    "hot_pixels": (CAMERA, {"dark frames"}, 1.0),
+    "read_noise": (CAMERA, {"dark frames"}, 1.0),
     "sensor_nonlinearity": (CAMERA, {"even light"}, 1.0),
 }
 BROKEN = 4.0

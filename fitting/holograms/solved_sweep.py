@@ -41,6 +41,7 @@ from fitting.holograms.object_field import (
     smooth_functions,
 )
 from fitting.holograms.problem import Problem
+from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.retries import in_right_fringes, relative_misfit, unexplained
 from fitting.holograms.right_fringes.trials import (
     in_other_fringes,
@@ -201,10 +202,10 @@ def finished(
     sweep = Sweep(problem, problem.exact(), level.smooth, change, common)
     at, step = settled(sweep, at, most_turns)
     sweep, now, at, step = _with_scatter(sweep, at, step, most_turns)
-    theirs = None if other is None else other[steps]
+    theirs, failed = None if other is None else other[steps], FailedTrials()
     for _ in range(0 if quick else _MOST_CHANGES):
         before = at.amplitude
-        at, step = in_right_fringes(sweep, at, step, most_turns, theirs)
+        at, step = in_right_fringes(sweep, at, step, most_turns, theirs, failed)
         if np.all(same_fringe(before, at.amplitude)):
             break
         # What was in wrong fringes had other gains, and bent the light.

@@ -25,6 +25,7 @@ from fitting.holograms.alternating_minimisation import (
 from fitting.holograms.continuation import CONTINUATION_STRIDE
 from fitting.holograms.object_field import FieldStep
 from fitting.holograms.problem import Problem
+from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.trials import (
     SAME_FRINGE,
     SIZES,
@@ -76,7 +77,7 @@ class _Candidates:
 
 
 def moved_together(
-    sweep: Sweep, at: Solution, step: FieldStep, most_turns: int, rejected: set[tuple[int, int]]
+    sweep: Sweep, at: Solution, step: FieldStep, most_turns: int, failed: FailedTrials
 ) -> tuple[Solution, FieldStep] | None:
     """Move a group of holograms into other fringes; None if that explains nothing better.
 
@@ -88,15 +89,15 @@ def moved_together(
         Its equations.
     most_turns : int
         Largest number of alternating steps.
-    rejected : set of (int, int)
-        First and last hologram of groups that are not tried: those that are rejected are added.
+    failed : FailedTrials
+        Groups that are not tried again: those that fail are added.
     """
     problem = sweep.problem
     weight = 1 / np.maximum(step.linear.normal.misfit / problem.seen, 1)
     costs = float(np.sum(cost(problem, at)))
     for group in _neighbourhoods(suspects(problem, at), len(at.gain)):
-        ends = int(group[0]), int(group[-1])
-        if ends in rejected:
+        here = int(group[0]), at.amplitude[group], problem.gain_nepers
+        if failed.has_group(*here):
             continue
         there = smoothest(problem, at, group)
         if there is not None:
@@ -104,7 +105,7 @@ def moved_together(
             there, theirs = settled(sweep, there, min(most_turns, _GROUP_TURNS))
             if costs - float(np.sum(cost(problem, there))) > LEAST_GAIN:
                 return there, theirs
-        rejected.add(ends)
+        failed.add_group(*here)
     return None
 
 

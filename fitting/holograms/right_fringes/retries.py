@@ -32,6 +32,7 @@ from fitting.holograms.changing_field import FieldChange
 from fitting.holograms.continuation import ITERATIONS, SAME_FRINGE_RATIO
 from fitting.holograms.object_field import FieldStep
 from fitting.holograms.problem import Problem
+from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.groups import LEAST_GAIN, moved_together
 from fitting.holograms.right_fringes.trials import (
     SIZES,
@@ -116,7 +117,11 @@ def field_of_others(
 
 
 def tried_again(
-    problem: Problem, at: Solution, bad: IndexArray, others: Sequence[ComplexArray] = ()
+    problem: Problem,
+    at: Solution,
+    bad: IndexArray,
+    others: Sequence[ComplexArray] = (),
+    failed: FailedTrials | None = None,
 ) -> tuple[Solution, IndexArray]:
     """Solve the unexplained holograms from their neighbours; return which are explained better.
 
@@ -131,7 +136,10 @@ def tried_again(
         Numbers of the unexplained holograms.
     others : sequence of (k, j) complex
         Amplitudes of other solutions, from which they are tried as well, in any size.
+    failed : FailedTrials, optional
+        Trials that are not repeated: those that fail are added.
     """
+    known = failed or FailedTrials()
     amplitude, gain, better = at.amplitude.copy(), at.gain.copy(), list[int]()
     so_far = cost(problem, at)
     good = np.ones(len(gain), bool)
@@ -148,11 +156,16 @@ def tried_again(
                 *(_likely_sizes(problem, at, number, other[number]) for other in others),
             ]
         )
+        if known.has_hologram(number, starts, problem.gain_nepers):
+            continue
         steps = np.full(len(starts), number)
         found, louder, left = solved_from(problem.some(steps), at, steps, starts)
         best = int(np.argmin(left))
-        if so_far[number] - left[best] > LEAST_GAIN:
-            misled = not same_fringe(amplitude[number], found[best])
+        is_better = so_far[number] - left[best] > LEAST_GAIN
+        misled = is_better and not same_fringe(amplitude[number], found[best])
+        if not misled:
+            known.add_hologram(number, starts, problem.gain_nepers)
+        if is_better:
             amplitude[number], gain[number], good[number] = found[best], louder[best], True
             better.append(number)
             if misled:
@@ -224,7 +237,12 @@ def _from_expected(
 
 
 def in_right_fringes(
-    sweep: Sweep, at: Solution, step: FieldStep, most_turns: int, other: ComplexArray | None = None
+    sweep: Sweep,
+    at: Solution,
+    step: FieldStep,
+    most_turns: int,
+    other: ComplexArray | None = None,
+    failed: FailedTrials | None = None,
 ) -> tuple[Solution, FieldStep]:
     """Solve holograms in wrong fringes again until nothing is explained better.
 
@@ -238,23 +256,30 @@ def in_right_fringes(
         Largest number of alternating steps after each change.
     other : (k, j) complex, optional
         Amplitudes of another solution: where they are in other fringes, both are tried.
+    failed : FailedTrials, optional
+        Trials that are not repeated: those that fail are added.
     """
-    hopeless, gain_nepers = np.zeros(0, np.intp), sweep.problem.gain_nepers
-    rejected = set[tuple[int, int]]()
+    hopeless = moved = np.zeros(0, np.intp)
+    gain_nepers = sweep.problem.gain_nepers
+    known = failed or FailedTrials()
     for _ in range(_MOST_RETRIES):
         off = np.union1d(_misfitting(sweep, step), with_wrong_gain(at.gain, gain_nepers))
         if other is not None:
             off = np.union1d(off, in_other_fringes(sweep.problem, at.amplitude, other))
         off = np.setdiff1d(off, hopeless)
         before = at.amplitude
-        at, better = tried_again(sweep.problem, at, off, () if other is None else (other,))
+        others = () if other is None else (other,)
+        at, better = tried_again(sweep.problem, at, off, others, known)
         if better.size:
-            # What is better in the same fringe comes to rest with the light.
+            # What is better in the same fringe comes to rest with the light; so does what has moved
+            # before, and is again where it was.
             elsewhere = better[~same_fringe(before[better], at.amplitude[better])]
-            hopeless = np.union1d(hopeless, np.setdiff1d(off, elsewhere))
+            again = np.intersect1d(elsewhere, moved)
+            hopeless = np.union1d(hopeless, np.union1d(np.setdiff1d(off, elsewhere), again))
+            moved = np.union1d(moved, elsewhere)
             at, step = settled(sweep, at, most_turns)
             continue
-        together = moved_together(sweep, at, step, most_turns, rejected)
+        together = moved_together(sweep, at, step, most_turns, known)
         if together is None:
             break
         at, step = together

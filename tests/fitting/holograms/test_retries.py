@@ -12,6 +12,7 @@ from fitting.holograms.bessel import BesselTable
 from fitting.holograms.displacement import _in_order, _refined, fit_displacements
 from fitting.holograms.problem import Problem
 from fitting.holograms.right_fringes import groups, retries, trials
+from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.groups import (
     _beyond,
     _Candidates,
@@ -224,11 +225,87 @@ def test_a_group_that_was_rejected_is_not_tried_again(sweep, problem, found, mon
     at, step = settled(blocks, there, 1)
     monkeypatch.setattr(groups, "suspects", lambda *_: LOST)
     monkeypatch.setattr(groups, "smoothest", lambda _problem, at, _group: at)
-    rejected = set()
-    assert moved_together(blocks, at, step, 1, rejected) is None
-    assert rejected == {(LOST[0] - 6, LOST[-1] + 6)}
+    failed = FailedTrials()
+    assert moved_together(blocks, at, step, 1, failed) is None
+    around = np.arange(LOST[0] - 6, LOST[-1] + 7)
+    assert failed.has_group(around[0], at.amplitude[around], problem.gain_nepers)
     monkeypatch.setattr(groups, "smoothest", lambda *_: pytest.fail("tried again"))
-    assert moved_together(blocks, at, step, 1, rejected) is None
+    assert moved_together(blocks, at, step, 1, failed) is None
+
+
+def test_a_hologram_that_was_not_explained_better_is_not_tried_again(problem, found, monkeypatch):
+    at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    failed = FailedTrials()
+    _, better = retries.tried_again(problem, at, LOST[3:4], (), failed)
+    assert not better.size
+    monkeypatch.setattr(retries, "solved_from", lambda *_: pytest.fail("tried again"))
+    retries.tried_again(problem, at, LOST[3:4], (), failed)
+
+
+def test_a_hologram_that_has_moved_is_tried_again(problem, astray):
+    failed = FailedTrials()
+    _, better = retries.tried_again(problem, astray, LOST[:1], (), failed)
+    assert better.size
+    _, again = retries.tried_again(problem, astray, LOST[:1], (), failed)
+    assert LOST[0] in again
+
+
+def test_a_hologram_that_moves_back_again_and_again_is_left_where_it_is(
+    sweep, problem, found, monkeypatch
+):
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
+    blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
+    there = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
+    at, step = settled(blocks, there, 1)
+    number, tried = int(LOST[3]), list[int]()
+
+    def astray(_problem, at, off, *_):
+        tried.append(int(number in off))
+        amplitude = at.amplitude.copy()
+        amplitude[off] *= 0.3
+        return replace(at, amplitude=amplitude), off
+
+    monkeypatch.setattr(retries, "tried_again", astray)
+    monkeypatch.setattr(retries, "settled", lambda *_: (at, step))
+    monkeypatch.setattr(retries, "moved_together", lambda *_: None)
+    monkeypatch.setattr(retries, "_misfitting", lambda *_: np.array([number]))
+    monkeypatch.setattr(retries, "with_wrong_gain", lambda *_: np.zeros(0, np.intp))
+    in_right_fringes(blocks, at, step, 1)
+    assert tried == [1, 1, 0]
+
+
+def test_trials_fail_again_from_the_same_fringes_only():
+    rng = np.random.default_rng(3)
+    starts = rng.standard_normal((4, 3)) + 1j * rng.standard_normal((4, 3))
+    failed = FailedTrials()
+    assert not failed.has_hologram(7, starts, 0.01)
+    failed.add_hologram(7, starts, 0.01)
+    assert not failed.has_hologram(8, starts, 0.01)
+    # In any order, up to a phase, and less than a fringe apart.
+    near = 1.1 * starts[::-1] * np.exp(1j * np.arange(4))[:, None]
+    assert failed.has_hologram(7, near, 0.01)
+    assert failed.has_hologram(7, near[:2], 0.01)
+    assert not failed.has_hologram(7, np.vstack([near, 2 * near[:1]]), 0.01)
+    # Gains that scatter half as much make wrong fringes four times as unlikely.
+    assert failed.has_hologram(7, near, 0.02)
+    assert not failed.has_hologram(7, near, 0.005)
+
+
+def test_a_part_of_a_group_that_failed_fails_again():
+    rng = np.random.default_rng(4)
+    a = rng.standard_normal((9, 3)) + 1j * rng.standard_normal((9, 3))
+    failed = FailedTrials()
+    failed.add_group(20, a, 0.01)
+    assert failed.has_group(20, a, 0.01)
+    assert failed.has_group(22, a[2:7], 0.01)
+    assert not failed.has_group(22, a[3:8], 0.01)
+    assert not failed.has_group(18, a[:4], 0.01)
+    assert not failed.has_group(25, np.vstack([a[5:], a[:1]]), 0.01)
+    moved = a.copy()
+    moved[4] *= 0.5
+    assert not failed.has_group(20, moved, 0.01)
+    assert failed.has_group(25, moved[5:], 0.01)
+    assert not failed.has_group(20, a, 0.005)
 
 
 @pytest.mark.parametrize("together", [True, False])

@@ -138,6 +138,11 @@ class FresnelTransform:
         np.multiply(hologram, sensor_chirp, out=hologram)
         return hologram
 
+    @property
+    def object_chirp(self) -> Complex64Array:
+        """Return the phase factors (ny, nx) complex64 that `to_object` multiplies images by."""
+        return self._backward_chirps[1]
+
     def intensity(self, hologram: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Return ``|to_object(hologram)|²``, faster, because the object chirp is not needed.
 

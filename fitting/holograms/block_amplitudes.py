@@ -13,10 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import toeplitz
 
 from fitting.errors import FitError
 from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import map_threads
+from holography.apodisation import Taper, apodised
 from holography.arrays import Array, Complex64Array
 from physics.reed.geometry import half_width_m
 from protocols.errors import ProtocolError
@@ -31,6 +33,10 @@ _BLOCK_M = 0.38e-3
 # ... and pixels along it, however coarse they are. The place of a block is the centre of its light,
 # which a single pixel, one speckle that it resolves, does not have.
 _LEAST_PIXELS = 2
+# Pixels of a block times the fraction of the sensor that is darkened at its edges: side lobes end
+# within as many pixels as are one over that fraction. In blocks of two pixels, a hundredth of the
+# light then comes from farther than a side of the block; without darkened edges, a twentieth.
+_TAPERED_PIXELS = 1.4
 # Margin inside the contour: blocks on the edge contain less reed than others.
 _EDGE_M = 0.25e-3
 # Behind the vamp the clamp begins: the reed is dark there and does not move.
@@ -88,6 +94,10 @@ class BlockAmplitudes:
         Coordinates of the blocks on the reed.
     size_m : tuple of float
         Sides of a block along x and y.
+    spread : tuple of float
+        Standard deviation, along x and y, of where the light of a block comes from, in its sides.
+    independent : float
+        Number of independent block amplitudes over that of all: neighbours share noise.
     step_index : (k,) int
         Index of each hologram in the protocol.
     recording_rank : (k,) int
@@ -106,6 +116,8 @@ class BlockAmplitudes:
     x_m: Array
     y_m: Array
     size_m: tuple[float, float]
+    spread: tuple[float, float]
+    independent: float
     step_index: NDArray[np.intp]
     recording_rank: NDArray[np.intp]
     drive_hz: Array
@@ -141,12 +153,17 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     others = _others(run, steps)
     all_steps = [*steps, *(step for found in others.values() for step in found.values())]
     value, right = _leading(_holograms(run, all_steps, blocks, unshifted))
+    noise = np.sqrt(blocks.noise(right)).astype(np.float32)[:, None]
+    value /= noise
+    down, across = blocks.tapers
     light = np.abs(right) ** 2
     return BlockAmplitudes(
         value=np.ascontiguousarray(value[:, : len(steps)]),
         x_m=np.sum(light * blocks.x_m, axis=1),
         y_m=np.sum(light * blocks.y_m, axis=1),
         size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
+        spread=(across.spread_of_sum(blocks.wide), down.spread_of_sum(blocks.high)),
+        independent=across.independent(blocks.wide) * down.independent(blocks.high),
         step_index=np.array([step.index for step in steps]),
         recording_rank=_recording_rank(run, steps),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
@@ -154,7 +171,7 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         others=_split(others, value[:, len(steps) :], len(steps)),
         subtracted=None
         if unshifted is None
-        else _unshifted_amplitudes(unshifted, steps, blocks, right),
+        else _unshifted_amplitudes(run, unshifted, steps, blocks, right) / noise,
     )
 
 
@@ -230,6 +247,21 @@ class _Blocks:
     x_m: Array
     y_m: Array
 
+    @property
+    def tapers(self) -> tuple[Taper, Taper]:
+        """Window of the sensor along rows and columns."""
+        down, across = (Taper(min(1.0, _TAPERED_PIXELS / n)) for n in (self.high, self.wide))
+        return down, across
+
+    def noise(self, weights: Complex64Array) -> Array:
+        """Return the noise variance (n,) of sums with weights (n, p), over that of a pixel."""
+        down, across = (
+            toeplitz(taper.noise_correlation(count))
+            for taper, count in zip(self.tapers, (self.high, self.wide), strict=True)
+        )
+        shared = np.einsum("np,pq,nq->n", weights, np.kron(down, across), weights.conj())
+        return np.asarray(shared.real)
+
     def of(self, field: Complex64Array) -> Complex64Array:
         """Return the pixels (n, p) of a field, sorted into blocks."""
         (rows, columns), high, wide = self.inside.shape, self.high, self.wide
@@ -275,18 +307,28 @@ def _holograms(
             )
         if unshifted is not None:
             field = field - unshifted.fraction.get(step.position, 0.0) * unshifted.light
-        chosen[:, k] = blocks.of(field) / np.float32(np.sqrt(step.noise_level))
+        image = _apodised(run, field, blocks)
+        chosen[:, k] = blocks.of(image) / np.float32(np.sqrt(step.noise_level))
     return chosen
 
 
+def _apodised(run: Run, field: Complex64Array, blocks: _Blocks) -> Complex64Array:
+    """Return a field without the side lobes that the edges of the sensor cause."""
+    return apodised(field, run.reconstruction.transform, run.region, blocks.tapers)
+
+
 def _unshifted_amplitudes(
-    unshifted: UnshiftedLight, steps: Sequence[StepRecord], blocks: _Blocks, right: Complex64Array
+    run: Run,
+    unshifted: UnshiftedLight,
+    steps: Sequence[StepRecord],
+    blocks: _Blocks,
+    right: Complex64Array,
 ) -> Complex64Array:
     """Return the block amplitudes (n, k) of unshifted light, for right singular vectors (n, p)."""
     fractions = [
         unshifted.fraction.get(step.position, 0.0) / np.sqrt(step.noise_level) for step in steps
     ]
-    light = np.sum(blocks.of(unshifted.light) * right, axis=1)
+    light = np.sum(blocks.of(_apodised(run, unshifted.light, blocks)) * right, axis=1)
     off: Complex64Array = np.multiply.outer(light, fractions).astype(np.complex64)
     return off
 

@@ -64,6 +64,10 @@ class CommonModeError:
         whole: Array = weak + self.precision.sum(axis=0)
         return whole
 
+    def counting(self, independent: float) -> "CommonModeError":
+        """Return the error if block amplitudes count for a fraction of independent ones."""
+        return replace(self, precision=independent * self.precision, pull=independent * self.pull)
+
     def among(self, holograms: int, some: IndexArray) -> "CommonModeError":
         """Return the error of more holograms, of which some (s,) are those of this one.
 

@@ -153,8 +153,8 @@ def problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
     problem = Problem.of(
         blocks.value, basis.functions, BesselTable(), blocks.others, blocks.recording_rank
     )
-    slopes = spread_slopes(blocks.x_m, blocks.y_m, blocks.size_m, basis.functions)
-    return replace(problem, slopes=slopes)
+    slopes = spread_slopes(blocks.x_m, blocks.y_m, blocks.size_m, blocks.spread, basis.functions)
+    return replace(problem, slopes=slopes, independent=blocks.independent)
 
 
 def with_all_blocks(level: Level, found: Displacements) -> Displacements:
@@ -298,7 +298,8 @@ def displacements_of(
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
     amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
     # Noise of variance 1 has half of it in either part.
-    information[solved] = 2 * marginal / np.maximum(of_these, 1)[:, None, None]
+    scale = whole.independent / np.maximum(of_these, 1)
+    information[solved] = 2 * marginal * scale[:, None, None]
     weight = np.zeros(holograms)
     weight[solved] = 1 / np.maximum(of_these, 1)
     nearest = np.abs(np.arange(holograms)[:, None] - solved).argmin(axis=1)
@@ -309,7 +310,9 @@ def displacements_of(
     return Displacements(
         amplitude_rad=amplitude,
         information=information,
-        common_mode=replace(step.common_mode.among(holograms, solved), small=small),
+        common_mode=replace(
+            step.common_mode.counting(whole.independent).among(holograms, solved), small=small
+        ),
         recording_rank=whole.recording_rank,
         misfit=misfit,
         gain=gain,

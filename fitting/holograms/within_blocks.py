@@ -25,7 +25,13 @@ _NEIGHBOURS = 9
 _START, _TURNS = 0.1, 4
 
 
-def spread_slopes(x_m: Array, y_m: Array, size_m: tuple[float, float], functions: Array) -> Array:
+def spread_slopes(
+    x_m: Array,
+    y_m: Array,
+    size_m: tuple[float, float],
+    spread: tuple[float, float],
+    functions: Array,
+) -> Array:
     """Return the slopes (2, n, j) of functions (n, j), times the spread of the light in a block.
 
     Parameters
@@ -33,7 +39,9 @@ def spread_slopes(x_m: Array, y_m: Array, size_m: tuple[float, float], functions
     x_m, y_m : (n,) float
         Coordinates of the blocks.
     size_m : tuple of float
-        Sides of a block along x and y; light fills it evenly.
+        Sides of a block along x and y.
+    spread : tuple of float
+        Standard deviation of where its light comes from, in these sides.
     functions : (n, j) float
     """
     points = np.stack([x_m, y_m], axis=1)
@@ -43,9 +51,8 @@ def spread_slopes(x_m: Array, y_m: Array, size_m: tuple[float, float], functions
     apart = (points[near] - points[:, None]) / np.array(size_m)
     planes = np.linalg.pinv(np.concatenate([np.ones((*apart.shape[:2], 1)), apart], axis=2))
     slopes = np.einsum("nip,npj->inj", planes[:, 1:], functions[near], optimize=True)
-    # The variance of an even distribution over a side of 1 is 1/12.
-    spread: Array = (slopes / np.sqrt(12)).astype(functions.dtype)
-    return spread
+    scaled: Array = (slopes * np.reshape(spread, (2, 1, 1))).astype(functions.dtype)
+    return scaled
 
 
 def blurring(problem: Problem, a: ComplexArray) -> dict[int, Array]:

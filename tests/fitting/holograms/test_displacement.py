@@ -114,7 +114,7 @@ def planted(
     value = (seen + complex_normal(rng, *u.shape)).T.astype(np.complex64)
     steps = np.arange(len(DRIVE_HZ))
     block_amplitudes = BlockAmplitudes(
-        value, x, y, (1e-9, 1e-9), steps, steps, DRIVE_HZ, np.ones(len(steps))
+        value, x, y, (1e-9, 1e-9), (0.3, 0.3), 1.0, steps, steps, DRIVE_HZ, np.ones(len(steps))
     )
     return Sweep(modal, gain, a, block_amplitudes, basis)
 
@@ -301,6 +301,16 @@ def test_information_is_that_of_the_formula(sweep, settled, k):
 def test_information_of_small_amplitudes_is_that_of_the_formula(sweep, settled, k):
     """In them amplitude and gain are the same, so that the gain found is 0."""
     assert_information(sweep, settled, k, 0.0)
+
+
+def test_blocks_that_share_noise_count_for_less(sweep, solved):
+    blocks = replace(sweep.block_amplitudes, independent=0.5)
+    found = solve(replace(sweep, block_amplitudes=blocks))
+    assert found.information == pytest.approx(0.5 * solved.information)
+    for shared in ("precision", "pull"):
+        one, other = (getattr(each.common_mode, shared) for each in (found, solved))
+        assert one == pytest.approx(0.5 * other)
+    assert found.common_mode.response == pytest.approx(solved.common_mode.response)
 
 
 def test_misfit_weakens_information(sweep, solved):

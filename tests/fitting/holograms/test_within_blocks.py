@@ -27,6 +27,8 @@ from fitting.holograms.within_blocks import (
 from tests.numbers import complex_normal
 
 HOLOGRAMS, SIDE = 30, 0.04
+# Standard deviation of light that fills a block evenly, in its sides.
+EVEN = (12**-0.5, 12**-0.5)
 
 
 def moved(u):
@@ -52,7 +54,7 @@ def plate():
 def problem(plate):
     x, y, functions, _ = plate
     whole = Problem.of(np.zeros((len(x), HOLOGRAMS), complex), functions, BesselTable())
-    return replace(whole, slopes=spread_slopes(x, y, (SIDE, SIDE), functions))
+    return replace(whole, slopes=spread_slopes(x, y, (SIDE, SIDE), EVEN, functions))
 
 
 @pytest.fixture
@@ -185,7 +187,7 @@ def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, ampli
     steps = np.arange(HOLOGRAMS)
     size = functions.shape[1]
     blocks = BlockAmplitudes(
-        np.zeros((len(x), HOLOGRAMS), np.complex64), x, y, (SIDE, SIDE), steps, steps,
+        np.zeros((len(x), HOLOGRAMS), np.complex64), x, y, (SIDE, SIDE), EVEN, 1.0, steps, steps,
         1000.0 + steps, np.ones(HOLOGRAMS),
     )  # fmt: skip
     names = tuple(f"F{i + 1}" for i in range(size))

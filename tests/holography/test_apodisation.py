@@ -1,0 +1,106 @@
+"""Windows on the sensor, and what they do to images."""
+
+import numpy as np
+import pytest
+
+from holography.apodisation import Taper, apodised
+from holography.fresnel import FresnelTransform
+from holography.region import Region
+from tests.numbers import complex_normal
+
+TRANSFORM = FresnelTransform((96, 128), 6.7e-6, 532e-9, 0.5)
+REGION = Region(30, 40, 30, 50)
+FRACTIONS = [0.0, 0.28, 0.7, 1.0]
+
+
+@pytest.fixture
+def hologram():
+    """A hologram of light that comes from the region alone."""
+    image = np.zeros(TRANSFORM.shape, np.complex64)
+    image[REGION.slices] = complex_normal(np.random.default_rng(1), REGION.height, REGION.width)
+    return TRANSFORM.to_sensor(image)
+
+
+@pytest.mark.parametrize("fraction", FRACTIONS)
+def test_the_image_is_that_of_a_hologram_under_the_window(hologram, fraction):
+    rows, columns = Taper(fraction), Taper(0.5)
+    windowed = hologram * rows.window(96)[:, None] * columns.window(128)
+    expected = REGION.crop(TRANSFORM.to_object(windowed) / TRANSFORM.object_chirp)
+    field = REGION.crop(TRANSFORM.to_object(hologram))
+    found = apodised(field, TRANSFORM, REGION, (rows, columns))
+    assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_a_taper_of_the_whole_sensor_is_a_hann_window() -> None:
+    window = Taper(1.0).window(64)
+    hann = np.sin(np.pi * np.arange(64) / 64) ** 2
+    np.testing.assert_allclose(window, hann * np.sqrt(8 / 3), atol=1e-12)
+
+
+@pytest.mark.parametrize("fraction", FRACTIONS)
+def test_noise_keeps_its_power_and_is_correlated_as_stated(fraction):
+    taper, rng = Taper(fraction), np.random.default_rng(2)
+    noise = complex_normal(rng, 2000, 64) * taper.window(64)
+    image = np.fft.fft(noise, norm="ortho")
+    power = np.mean(np.abs(image) ** 2)
+    assert power == pytest.approx(1, abs=0.01)
+    rho = [np.mean(image[:, : 64 - k] * image[:, k:].conj()).real for k in range(4)]
+    np.testing.assert_allclose(rho, taper.noise_correlation(4), atol=0.01)
+
+
+@pytest.mark.parametrize("fraction", FRACTIONS[1:])
+def test_the_spread_is_that_of_the_image_of_a_point(fraction):
+    taper, finer = Taper(fraction), 32
+    image = np.abs(np.fft.fft(taper.window(512), 512 * finer)) ** 2
+    pixels = np.fft.fftfreq(512 * finer, 1 / 512)
+    variance = np.sum(image * pixels**2) / np.sum(image)
+    assert taper.spread == pytest.approx(np.sqrt(variance), rel=0.01)
+
+
+def test_pixels_of_a_sum_spread_over_it() -> None:
+    # Two points half a pixel from their middle, and two sides of three pixels from theirs.
+    assert Taper(0.0).spread_of_sum(2) == pytest.approx(0.5 / 2)
+    assert Taper(0.0).spread_of_sum(3) == pytest.approx(np.sqrt(2 / 3) / 3)
+    assert Taper(1.0).spread_of_sum(2) == pytest.approx(np.sqrt(0.25 + 1 / 3) / 2)
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 5])
+@pytest.mark.parametrize("fraction", FRACTIONS)
+def test_sums_of_speckle_are_as_independent_as_stated(fraction, pixels):
+    """Noise of all sums together, weighted with speckle, over that of each alone."""
+    taper, rng, count = Taper(fraction), np.random.default_rng(3), 240
+    light, noise = (
+        np.fft.fft(complex_normal(rng, 1500, count) * taper.window(count), norm="ortho")
+        for _ in range(2)
+    )
+    sums = np.sum((light.conj() * noise).reshape(1500, -1, pixels), axis=2)
+    together = np.mean(np.abs(sums.sum(axis=1)) ** 2) / (count // pixels)
+    assert np.mean(np.abs(sums) ** 2) / together == pytest.approx(
+        taper.independent(pixels), rel=0.12
+    )
+
+
+def test_without_a_window_nothing_is_shared() -> None:
+    taper = Taper(0.0)
+    np.testing.assert_allclose(taper.window(32), 1)
+    np.testing.assert_allclose(taper.noise_correlation(3), [1, 0, 0], atol=1e-12)
+    assert taper.independent(4) == pytest.approx(1)
+    assert taper.spread == 0
+
+
+@pytest.mark.parametrize("fraction", [-0.1, 1.1, np.nan])
+def test_a_fraction_beyond_the_sensor_is_refused(fraction):
+    with pytest.raises(ValueError, match="fraction"):
+        Taper(fraction)
+
+
+def test_darker_edges_leave_a_fifth_of_the_light_from_beyond_a_block_of_two_pixels() -> None:
+    def beyond(fraction, pixels):
+        image = np.abs(np.fft.fft(Taper(fraction).window(512), 512 * 32)) ** 2
+        away = np.abs(np.fft.fftfreq(512 * 32, 1 / 512)) > pixels
+        return np.sum(image[away]) / np.sum(image)
+
+    assert beyond(0.0, 2) == pytest.approx(0.05, rel=0.02)
+    assert beyond(0.7, 2) == pytest.approx(0.011, rel=0.02)
+    # Of larger blocks, even less.
+    assert beyond(1.4 / 5, 5) < 0.003

@@ -93,3 +93,14 @@ class ModalFit:
     drive_forms: tuple[DriveForm, ...]
     off: NDArray[np.bool_]
     state: State
+
+    def loss_over_others(self, mode: int) -> float:
+        """Return the loss factor of a mode over the median of all others, 1 if it is the only one.
+
+        Parameters
+        ----------
+        mode : int
+            Position among the fitted modes.
+        """
+        others = np.delete(self.loss_factor, mode)
+        return float(self.loss_factor[mode] / np.median(others)) if others.size else 1.0

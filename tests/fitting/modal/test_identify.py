@@ -243,6 +243,19 @@ def test_a_mode_whose_own_holograms_are_left_out_is_not_identified(sweep):
         assert {*changed.resonances, "T2"} == set(sweep.resonances)
 
 
+def test_a_mode_that_loses_far_more_than_others_is_not_identified(sweep):
+    joint = sweep.joint
+    own, loss = joint.names.index("T2"), joint.modal.loss_factor
+    usual = np.median(np.delete(loss, own))
+    for factor, refused in ((1.9, False), (2.1, True)):
+        changed_loss = np.where(np.arange(len(loss)) == own, factor * usual, loss)
+        modal = replace(joint.modal, loss_factor=changed_loss)
+        assert modal.loss_over_others(own) == pytest.approx(factor)
+        changed = refit_of(joint, modal=modal)
+        assert ("T2" in changed.not_identified) == refused
+        assert {*changed.resonances, "T2"} == set(sweep.resonances)
+
+
 def test_a_mode_next_to_a_run_of_outliers_is_not_identified(sweep):
     """Its resonance may be hidden there; holograms that were never measured hide nothing."""
     joint, mode_hz = sweep.joint, sweep.resonances["T2"].frequency_hz

@@ -353,7 +353,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
     pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
-    fringes = np.sum(np.abs(phasors.recorded) ** 2 - 1, axis=0) / pixels
+    fringes = phasors.noise @ (np.abs(phasors.recorded) ** 2 - 1) / pixels
     shapes = fitted.basis.functions @ fitted.basis.shapes.T
     highest = np.argmax(np.abs(shapes), axis=0)
     return SweepReading(

@@ -98,6 +98,8 @@ class BlockAmplitudes:
         Standard deviation, along x and y, of where the light of a block comes from, in its sides.
     independent : float
         Number of independent block amplitudes over that of all: neighbours share noise.
+    noise : (n,) float
+        Variance of the noise of each, over that of a pixel of the image.
     step_index : (k,) int
         Index of each hologram in the protocol.
     recording_rank : (k,) int
@@ -118,6 +120,7 @@ class BlockAmplitudes:
     size_m: tuple[float, float]
     spread: tuple[float, float]
     independent: float
+    noise: Array
     step_index: NDArray[np.intp]
     recording_rank: NDArray[np.intp]
     drive_hz: Array
@@ -153,8 +156,9 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     others = _others(run, steps)
     all_steps = [*steps, *(step for found in others.values() for step in found.values())]
     value, right = _leading(_holograms(run, all_steps, blocks, unshifted))
-    noise = np.sqrt(blocks.noise(right)).astype(np.float32)[:, None]
-    value /= noise
+    noise = blocks.noise(right)
+    unit = np.sqrt(noise).astype(np.float32)[:, None]
+    value /= unit
     down, across = blocks.tapers
     light = np.abs(right) ** 2
     return BlockAmplitudes(
@@ -164,6 +168,7 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
         spread=(across.spread_of_sum(blocks.wide), down.spread_of_sum(blocks.high)),
         independent=across.independent(blocks.wide) * down.independent(blocks.high),
+        noise=noise,
         step_index=np.array([step.index for step in steps]),
         recording_rank=_recording_rank(run, steps),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
@@ -171,7 +176,7 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         others=_split(others, value[:, len(steps) :], len(steps)),
         subtracted=None
         if unshifted is None
-        else _unshifted_amplitudes(run, unshifted, steps, blocks, right) / noise,
+        else _unshifted_amplitudes(run, unshifted, steps, blocks, right) / unit,
     )
 
 

@@ -300,6 +300,8 @@ def test_under_a_window_noise_is_one_and_light_that_of_independent_pixels(plain)
     found = read(path)
     left, factor = apart(found.value, np.broadcast_to(phasor, found.value.shape))
     assert np.mean(np.abs(left) ** 2) * 87 / 86 == pytest.approx(1, abs=0.02)
+    # The power of light is that of all pixels, also where their noise is shared.
+    assert np.mean(found.noise * factor**2) == pytest.approx(6 * 900, rel=0.03)
     # Of two by three pixels, the window leaves this many independent.
     windows = [Taper(1.4 / pixels).window(4096) for pixels in (2, 3)]
     pixels = 6 / np.prod([np.mean(window**4) for window in windows])

@@ -114,7 +114,17 @@ def planted(
     value = (seen + complex_normal(rng, *u.shape)).T.astype(np.complex64)
     steps = np.arange(len(DRIVE_HZ))
     block_amplitudes = BlockAmplitudes(
-        value, x, y, (1e-9, 1e-9), (0.3, 0.3), 1.0, steps, steps, DRIVE_HZ, np.ones(len(steps))
+        value,
+        x,
+        y,
+        (1e-9, 1e-9),
+        (0.3, 0.3),
+        1.0,
+        np.ones(points),
+        steps,
+        steps,
+        DRIVE_HZ,
+        np.ones(len(steps)),
     )
     return Sweep(modal, gain, a, block_amplitudes, basis)
 

@@ -187,8 +187,8 @@ def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, ampli
     steps = np.arange(HOLOGRAMS)
     size = functions.shape[1]
     blocks = BlockAmplitudes(
-        np.zeros((len(x), HOLOGRAMS), np.complex64), x, y, (SIDE, SIDE), EVEN, 1.0, steps, steps,
-        1000.0 + steps, np.ones(HOLOGRAMS),
+        np.zeros((len(x), HOLOGRAMS), np.complex64), x, y, (SIDE, SIDE), EVEN, 1.0,
+        np.ones(len(x)), steps, steps, 1000.0 + steps, np.ones(HOLOGRAMS),
     )  # fmt: skip
     names = tuple(f"F{i + 1}" for i in range(size))
     basis = ShapeBasis(

@@ -456,7 +456,9 @@ def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
         own = [by_real[:, None] * functions, by_imaginary[:, None] * functions]
         columns = np.hstack([*own, np.stack([lit[k] * F[k], *waves[:, k], left[k]], axis=1)])
         amplitude[:, k], variance[:, k] = _beside(_real(columns), 2 * functions.shape[1] + 1)
-    return amplitude, variance * np.maximum(found.misfit, 1)
+    # Blocks that share noise know less than as many independent ones.
+    shared = variance / fitted.block_amplitudes.independent
+    return amplitude, shared * np.maximum(found.misfit, 1)
 
 
 def _beside(columns: Array, own: int) -> tuple[ComplexArray, Array]:

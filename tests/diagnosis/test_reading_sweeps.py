@@ -134,7 +134,7 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
             reached=np.ones(holograms, dtype=bool),
         ),
         basis=SimpleNamespace(functions=functions),
-        block_amplitudes=SimpleNamespace(recorded=(fringes + left).T),
+        block_amplitudes=SimpleNamespace(recorded=(fringes + left).T, independent=1.0),
     )  # fmt: skip
     monkeypatch.setattr(sweep_readings, "explained_amplitudes", lambda *_: fringes)
     template, variance = _templates(fitted)
@@ -142,3 +142,6 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
     found = np.sum(weight * template[TEMPLATES.index("decorrelation")].real) / np.sum(weight)
     # What displacements and gains take up is not of the same size in every hologram.
     assert found == pytest.approx(loss, rel=0.05)
+    # Blocks that share noise know less.
+    fitted.block_amplitudes.independent = 0.5
+    assert _templates(fitted)[1] == pytest.approx(2 * variance)

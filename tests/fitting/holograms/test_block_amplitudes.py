@@ -13,6 +13,7 @@ from scipy.special import j0, j1, jv
 import acquire
 from fitting.errors import FitError
 from fitting.holograms.block_amplitudes import (
+    UnshiftedLight,
     _blocks,
     _in_blocks,
     _leading,
@@ -307,6 +308,27 @@ def test_under_a_window_noise_is_one_and_light_that_of_independent_pixels(plain)
     pixels = 6 / np.prod([np.mean(window**4) for window in windows])
     assert 0.4 * 6 < pixels < 0.5 * 6
     assert found.independent * np.mean(factor**2) == pytest.approx(900 * pixels, rel=0.05)
+
+
+def test_light_spreads_along_each_axis_as_far_as_its_window_lets_it(plain):
+    path, _ = plain
+    found = read(path)
+    # Three pixels along x, two along y.
+    assert found.size_m[0] > found.size_m[1]
+    assert found.spread == (
+        pytest.approx(Taper(1.4 / 3).spread_of_sum(3)),
+        pytest.approx(Taper(1.4 / 2).spread_of_sum(2)),
+    )
+
+
+def test_unshifted_light_passes_the_same_window(plain):
+    """White light has the correlation of noise: in its units, any block has its power."""
+    path, _ = plain
+    with Run.open(path) as run:
+        light = 3 * complex_normal(np.random.default_rng(6), *run.field(0).shape)
+        shares = {step.position: 0.5 * np.sqrt(step.noise_level) for step in run.steps}
+        found = read_block_amplitudes(run, UnshiftedLight(light.astype(np.complex64), shares))
+    assert np.mean(np.abs(found.subtracted) ** 2) == pytest.approx(9 * 0.25, rel=0.05)
 
 
 def test_neighbouring_blocks_share_noise_as_is_stated(plain):

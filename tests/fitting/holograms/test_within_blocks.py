@@ -182,6 +182,15 @@ def test_without_slopes_nothing_is_taken_off(problem, amplitude):
     assert from_middle(flat, None, still, field, None) is flat
 
 
+def test_light_may_spread_farther_along_one_axis(plate):
+    x, y, functions, _ = plate
+    even = spread_slopes(x, y, (SIDE, SIDE), EVEN, functions)
+    along = spread_slopes(x, y, (SIDE, SIDE), (3 * EVEN[0], 2 * EVEN[1]), functions)
+    assert along[0] == pytest.approx(3 * even[0])
+    assert along[1] == pytest.approx(2 * even[1])
+    assert np.abs(even[1]).max() > 0.01
+
+
 def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, amplitude):
     x, y, functions, within = plate
     steps = np.arange(HOLOGRAMS)

@@ -272,7 +272,7 @@ def _dress(axes: Any, response: Response) -> None:
         nm = float(maxima_nm[fringe - 1])
         axes.axhline(nm, color="0.6", linewidth=0.8, linestyle=":")
         axes.annotate(
-            f"bright fringe {fringe}: {nm:.0f} nm", (0.005, nm),
-            xycoords=("axes fraction", "data"), fontsize=8, color="0.4", va="bottom",
+            f"bright fringe {fringe}: {nm:.0f} nm", (1.005, nm),
+            xycoords=("axes fraction", "data"), fontsize=8, color="0.4", va="center",
         )  # fmt: skip
     axes.grid(True, which="major", alpha=0.2)

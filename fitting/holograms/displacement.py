@@ -16,18 +16,24 @@ from numpy.typing import NDArray
 
 from fitting.errors import FitError
 from fitting.holograms.alternating_minimisation import Solution, middle
+from fitting.holograms.amplitudes import FEWEST_GAINS
 from fitting.holograms.block_amplitudes import BlockAmplitudes
 from fitting.holograms.changing_field import FieldChange, unlikelihood
 from fitting.holograms.continuation import Continuation, continued, enough, starts_of
 from fitting.holograms.object_field import field_factor
-from fitting.holograms.problem import Problem
+from fitting.holograms.problem import GAIN_NEPERS, Problem
 from fitting.holograms.right_fringes.retries import (
     all_from_expected,
     field_of_others,
     relative_misfit,
     tried_again,
 )
-from fitting.holograms.right_fringes.trials import agree, in_other_fringes, with_wrong_gain
+from fitting.holograms.right_fringes.trials import (
+    agree,
+    in_other_fringes,
+    with_fringes,
+    with_wrong_gain,
+)
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import (
     Displacements,
@@ -111,20 +117,24 @@ def _best_start(
                 best = min(best, refined(rough, best), key=lambda each: _unlikelihood(whole, each))
         costs.append(cost)
         mostly = best is not None and mostly_explained(best)
-        if (best and mostly and _in_order(best)) or number >= (
+        if (best and mostly and _in_order(whole, best)) or number >= (
             _MOST_STARTS if mostly else _FEW_STARTS
         ):
             break
     return best
 
 
-def _in_order(found: Displacements) -> bool:
+def _in_order(whole: Problem, found: Displacements) -> bool:
     """Whether no hologram is far from its noise, and few have another brightness than they should.
 
     At the peak of a resonance, displacements differ within blocks, and their holograms seem darker.
+    Brightness that scatters as much as it may where fringes show it is that of no bench: with it,
+    and with an object field that changes, wrong fringes may explain a whole sweep.
     """
     wrong = with_wrong_gain(found.gain, found.gain_nepers).size
-    return bool(np.all(found.reached)) and wrong <= _FEW_WRONG
+    shown = np.count_nonzero(with_fringes(whole, found.amplitude_rad)) >= FEWEST_GAINS
+    steady = found.gain_nepers < GAIN_NEPERS or not shown
+    return bool(np.all(found.reached)) and wrong <= _FEW_WRONG and steady
 
 
 def _unlikelihood(whole: Problem, found: Displacements) -> float:

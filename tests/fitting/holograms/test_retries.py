@@ -10,7 +10,7 @@ from fitting.holograms import solved_sweep
 from fitting.holograms.alternating_minimisation import Solution, Sweep, settled, with_field
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.displacement import _in_order, _refined, fit_displacements
-from fitting.holograms.problem import Problem
+from fitting.holograms.problem import GAIN_NEPERS, Problem
 from fitting.holograms.right_fringes import groups, retries, trials
 from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.groups import (
@@ -136,17 +136,24 @@ def test_a_hologram_without_a_solution_is_solved_from_its_neighbours(sweep, foun
     assert same_fringe(there.amplitude_rad[number], found.amplitude_rad[number])
 
 
-def test_few_odd_gains_are_in_order_and_no_hologram_far_from_its_noise(found):
+def test_few_odd_gains_are_in_order_and_no_hologram_far_from_its_noise(problem, found):
     gain = np.zeros(len(found.gain))
     gain[:2] = 5 * found.gain_nepers
     right = replace(found, gain=gain)
-    assert _in_order(right)
+    assert _in_order(problem, right)
     gain = gain.copy()
     gain[2] = -5 * found.gain_nepers
-    assert not _in_order(replace(right, gain=gain))
+    assert not _in_order(problem, replace(right, gain=gain))
     reached = found.reached.copy()
     reached[7] = False
-    assert not _in_order(replace(right, reached=reached))
+    assert not _in_order(problem, replace(right, reached=reached))
+
+
+def test_brightness_that_scatters_up_to_its_limit_is_that_of_wrong_fringes(problem, found):
+    widest = replace(found, gain_nepers=GAIN_NEPERS)
+    assert not _in_order(problem, widest)
+    # Without fringes nothing shows how much it scatters.
+    assert _in_order(problem, replace(widest, amplitude_rad=1e-3 * found.amplitude_rad))
 
 
 @pytest.mark.parametrize("wrong", [True, False])

@@ -137,12 +137,12 @@ def test_a_hologram_without_a_solution_is_solved_from_its_neighbours(sweep, foun
 
 
 def test_few_odd_gains_are_in_order_and_no_hologram_far_from_its_noise(problem, found):
-    gain = np.zeros(len(found.gain))
-    gain[:2] = 5 * found.gain_nepers
-    right = replace(found, gain=gain)
+    gain, scatter_nepers = np.zeros(len(found.gain)), 0.5 * GAIN_NEPERS
+    gain[:2] = 5 * scatter_nepers
+    right = replace(found, gain=gain, gain_nepers=scatter_nepers)
     assert _in_order(problem, right)
     gain = gain.copy()
-    gain[2] = -5 * found.gain_nepers
+    gain[2] = -5 * scatter_nepers
     assert not _in_order(problem, replace(right, gain=gain))
     reached = found.reached.copy()
     reached[7] = False
@@ -150,8 +150,10 @@ def test_few_odd_gains_are_in_order_and_no_hologram_far_from_its_noise(problem, 
 
 
 def test_brightness_that_scatters_up_to_its_limit_is_that_of_wrong_fringes(problem, found):
-    widest = replace(found, gain_nepers=GAIN_NEPERS)
+    still = np.zeros(len(found.gain))
+    widest = replace(found, gain=still, gain_nepers=GAIN_NEPERS)
     assert not _in_order(problem, widest)
+    assert _in_order(problem, replace(widest, gain_nepers=0.9 * GAIN_NEPERS))
     # Without fringes nothing shows how much it scatters.
     assert _in_order(problem, replace(widest, amplitude_rad=1e-3 * found.amplitude_rad))
 

@@ -9,16 +9,21 @@ fall by 18 dB per octave from as many pixels as are one over this part (F. J. Ha
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
+import scipy.optimize
 
 from holography.arrays import Array, Complex64Array
 from holography.fresnel import FresnelTransform
 from holography.region import Region
 
-# Points at which a window is sampled where its integrals are needed.
-_SAMPLES = 4096
+# Points at which a window is sampled where its integrals are needed, and points of a pixel at which
+# the image of a point is.
+_SAMPLES, _WITHIN_PIXEL = 4096, 16
+# How well the fraction of a window is found.
+_TOLERANCE = 1e-4
 # Pixels of darkness around a region: side lobes that reach across them come back at its other end.
 # At this distance, those of the widest taper have 10⁻⁸ of the power of the middle.
 _MARGIN = 16
@@ -68,6 +73,14 @@ class Taper:
             return 0.0
         return float(np.sqrt(1 / (8 * self.fraction * (1 - 0.625 * self.fraction))))
 
+    def light_from_beyond(self, pixels: int) -> float:
+        """Return the share of a pixel's light that comes from farther than so many pixels."""
+        place = np.arange(_SAMPLES) / _SAMPLES - 0.5
+        distance = np.linspace(0, pixels, _WITHIN_PIXEL * pixels + 1)
+        phase = 2 * np.pi * np.outer(distance, place)
+        image = np.cos(phase) @ self.window(_SAMPLES) / _SAMPLES
+        return float(1 - 2 * np.trapezoid(image**2, distance))
+
     def spread_of_sum(self, pixels: int) -> float:
         """Return the standard deviation of where light of some pixels comes from, in their sum."""
         return float(np.sqrt((pixels**2 - 1) / 12 + self.spread**2)) / pixels
@@ -88,6 +101,30 @@ class Taper:
         apart = np.abs(np.subtract.outer(np.arange(pixels), np.arange(pixels)))
         within = float(np.sum(among[apart] ** 2)) / pixels
         return within / float(np.mean(self.window(_SAMPLES) ** 4))
+
+
+@lru_cache(maxsize=64)
+def least_taper(pixels: int, share: float) -> Taper:
+    """Return the least taper with at most this share of light from farther than so many pixels.
+
+    Raises
+    ------
+    ValueError
+        If there is none: the image of a point is wider than that.
+    """
+
+    def excess(fraction: float) -> float:
+        return Taper(fraction).light_from_beyond(pixels) - share
+
+    if excess(1.0) > 0:
+        raise ValueError(
+            f"least_taper: with any window, more than {share:.2g} of the light of a pixel comes "
+            f"from farther than {pixels} pixels; take more pixels together"
+        )
+    if excess(0.0) <= 0:
+        return Taper(0.0)
+    found = scipy.optimize.bisect(excess, 0.0, 1.0, xtol=_TOLERANCE)
+    return Taper(min(float(found) + _TOLERANCE, 1.0))
 
 
 def apodised(

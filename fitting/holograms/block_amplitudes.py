@@ -18,7 +18,7 @@ from scipy.linalg import toeplitz
 from fitting.errors import FitError
 from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import map_threads
-from holography.apodisation import Taper, apodised
+from holography.apodisation import Taper, apodised, least_taper
 from holography.arrays import Array, Complex64Array
 from physics.reed.geometry import half_width_m
 from protocols.errors import ProtocolError
@@ -33,10 +33,10 @@ _BLOCK_M = 0.38e-3
 # ... and pixels along it, however coarse they are. The place of a block is the centre of its light,
 # which a single pixel, one speckle that it resolves, does not have.
 _LEAST_PIXELS = 2
-# Pixels of a block times the fraction of the sensor that is darkened at its edges: side lobes end
-# within as many pixels as are one over that fraction. In blocks of two pixels, a hundredth of the
-# light then comes from farther than a side of the block; without darkened edges, a twentieth.
-_TAPERED_PIXELS = 1.4
+# Share of a block's light that may come from farther than a side of the block, along an axis: of
+# both together half a per cent, by which the brightness of holograms scatters anyway. The edges of
+# the sensor are darkened for that.
+_FROM_BEYOND = 0.0025
 # Margin inside the contour: blocks on the edge contain less reed than others.
 _EDGE_M = 0.25e-3
 # Behind the vamp the clamp begins: the reed is dark there and does not move.
@@ -255,8 +255,7 @@ class _Blocks:
     @property
     def tapers(self) -> tuple[Taper, Taper]:
         """Window of the sensor along rows and columns."""
-        down, across = (Taper(min(1.0, _TAPERED_PIXELS / n)) for n in (self.high, self.wide))
-        return down, across
+        return least_taper(self.high, _FROM_BEYOND), least_taper(self.wide, _FROM_BEYOND)
 
     def noise(self, weights: Complex64Array) -> Array:
         """Return the noise variance (n,) of sums with weights (n, p), over that of a pixel."""

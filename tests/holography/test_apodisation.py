@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy.integrate
 
-from holography.apodisation import Taper, apodised
+from holography.apodisation import Taper, apodised, least_taper
 from holography.fresnel import FresnelTransform
 from holography.region import Region
 from tests.numbers import complex_normal
@@ -104,3 +105,34 @@ def test_darker_edges_leave_a_fifth_of_the_light_from_beyond_a_block_of_two_pixe
     assert beyond(0.7, 2) == pytest.approx(0.011, rel=0.02)
     # Of larger blocks, even less.
     assert beyond(1.4 / 5, 5) < 0.003
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 5])
+@pytest.mark.parametrize("fraction", FRACTIONS)
+def test_light_from_beyond_some_pixels_is_what_the_image_of_a_point_has_there(fraction, pixels):
+    taper, finer = Taper(fraction), 64
+    image = np.abs(np.fft.fft(taper.window(1024), 1024 * finer)) ** 2
+    distance = np.abs(np.fft.fftfreq(1024 * finer, 1 / 1024))
+    share = (distance > pixels) + 0.5 * (distance == pixels)
+    beyond = np.sum(share * image) / np.sum(image)
+    assert taper.light_from_beyond(pixels) == pytest.approx(beyond, rel=0.02, abs=1e-5)
+
+
+def test_without_a_window_a_twentieth_of_the_light_comes_from_beyond_two_pixels() -> None:
+    expected = 1 - 2 * scipy.integrate.quad(lambda x: np.sinc(x) ** 2, 0, 2)[0]
+    assert Taper(0.0).light_from_beyond(2) == pytest.approx(expected, abs=2e-4)
+    assert expected == pytest.approx(0.05, abs=1e-3)
+
+
+@pytest.mark.parametrize("pixels", [2, 3, 5])
+@pytest.mark.parametrize("share", [0.01, 0.0025])
+def test_the_least_taper_lets_just_so_much_light_in(pixels, share):
+    found = least_taper(pixels, share)
+    assert share - 1e-4 < found.light_from_beyond(pixels) <= share
+
+
+def test_there_is_a_least_taper_of_no_window_and_none_within_one_pixel() -> None:
+    assert least_taper(2, 0.06).fraction == 0
+    assert least_taper(60, 0.0025).fraction == 0
+    with pytest.raises(ValueError, match="take more pixels"):
+        least_taper(1, 0.0025)

@@ -1,12 +1,13 @@
 """Lines of the drive next to a mode, which may be the mode."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting.acoustics.poles import DriveLines
+from fitting.modal import drive_lines
 from fitting.modal import fit as modal_fit
 from fitting.modal.drive_lines import (
     TakenMode,
@@ -153,8 +154,53 @@ def test_a_mode_in_the_notch_of_a_chamber_is_where_it_is(monkeypatch):
                 assert (np.abs(cents(found.hz, sweep.hz[:5])) < 3 * found.error_cents).all()
         there = np.abs(np.log(DRIVE_HZ / pole_hz)) < 0.2
         left = (expected[-1].model.log_volts - np.log(sweep.volts * chamber(pole_hz)))[there]
-        assert np.abs(left - left.mean()).max() < 0.25
+        assert np.abs(left - left.mean()).max() < 0.15
     assert np.mean(wrong[True]) < np.mean(wrong[False])
+
+
+@dataclass(frozen=True)
+class Bare:
+    """A model of which nothing is used but that it has a ripple."""
+
+    ripple: object = None
+
+
+@pytest.fixture
+def found_in_turns(monkeypatch):
+    """Lines whose strengths are found one after the other; returns how often a sweep is fitted."""
+
+    def of(*strengths):
+        numbers = [[np.log(4700.0), np.log(20.0), each, 0.0] for each in strengths]
+        turns = [DriveLines(np.array([each]), 1e-4 * np.eye(4)) for each in numbers]
+        fitted, optimum = (
+            [],
+            SimpleNamespace(
+                end=SimpleNamespace(state=None, scatter=None),
+                logs=np.log([2000.0, 0.03]),
+                model=SimpleNamespace(ripple=None),
+                magnitude_covariance=None,
+            ),
+        )
+        monkeypatch.setattr(drive_lines, "_lines", lambda *_: turns.pop(0))
+        monkeypatch.setattr(drive_lines, "smooth_ripple", lambda _: None)
+        monkeypatch.setattr(drive_lines, "expecting", lambda _, lines: lines)
+
+        def fit(lines, *_):
+            fitted.append(float(lines.parameters[0, 2]))
+            return optimum
+
+        monkeypatch.setattr(drive_lines, "with_ripple", fit)
+        with_lines(optimum, None, Bare())
+        return fitted
+
+    return of
+
+
+def test_lines_are_found_again_until_they_stay_where_they_are(found_in_turns):
+    # The standard error of a strength is 0.01.
+    assert found_in_turns(0.30, 0.301) == [0.30]
+    assert found_in_turns(0.30, 0.32, 0.34, 0.341) == [0.30, 0.32, 0.34]
+    assert len(found_in_turns(*np.linspace(0.1, 0.5, 20))) == 5
 
 
 @pytest.mark.parametrize(("mode_hz", "strength", "may_be"), [

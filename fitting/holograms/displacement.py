@@ -26,8 +26,8 @@ from fitting.holograms.right_fringes.retries import (
     all_from_expected,
     field_of_others,
     relative_misfit,
-    tried_again,
 )
+from fitting.holograms.right_fringes.single_holograms import tried_again
 from fitting.holograms.right_fringes.trials import (
     agree,
     in_other_fringes,

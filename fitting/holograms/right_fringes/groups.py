@@ -26,6 +26,7 @@ from fitting.holograms.continuation import CONTINUATION_STRIDE
 from fitting.holograms.object_field import FieldStep
 from fitting.holograms.problem import Problem
 from fitting.holograms.right_fringes.failed_trials import FailedTrials
+from fitting.holograms.right_fringes.single_holograms import LEAST_GAIN, tried_again
 from fitting.holograms.right_fringes.trials import (
     SAME_FRINGE,
     SIZES,
@@ -37,8 +38,6 @@ from fitting.holograms.right_fringes.trials import (
 )
 from holography.arrays import Array, ComplexArray, IndexArray
 
-# Least gain in log likelihood of another solution: odds of 150 to 1.
-LEAST_GAIN = 5.0
 # Alternating steps after which a group in other fringes must be explained better. Chosen: a bound
 # of the time; a group that needs more of them stays where it is.
 _GROUP_TURNS = 4
@@ -94,19 +93,41 @@ def moved_together(
     """
     problem = sweep.problem
     weight = 1 / np.maximum(step.linear.normal.misfit / problem.seen, 1)
-    costs = float(np.sum(cost(problem, at)))
+    costs = cost(problem, at)
     for group in _neighbourhoods(suspects(problem, at), len(at.gain)):
         here = int(group[0]), at.amplitude[group], problem.gain_nepers
         if failed.has_group(*here):
             continue
-        there = smoothest(problem, at, group)
-        if there is not None:
-            there = with_field(middle(problem, there), there, weight, sweep.change)
-            there, theirs = settled(sweep, there, min(most_turns, _GROUP_TURNS))
-            if costs - float(np.sum(cost(problem, there))) > LEAST_GAIN:
+        start = smoothest(problem, at, group)
+        if start is not None:
+            start = with_field(middle(problem, start), start, weight, sweep.change)
+            there, theirs = _at_rest(sweep, start, costs, min(most_turns, _GROUP_TURNS))
+            if _gain(problem, costs, there) > LEAST_GAIN:
                 return there, theirs
         failed.add_group(*here)
     return None
+
+
+def _at_rest(
+    sweep: Sweep, start: Solution, costs: Array, most_turns: int
+) -> tuple[Solution, FieldStep]:
+    """Let light and vibration follow a group that has moved.
+
+    Light that the group had bent changes at once. Holograms at the peak of a resonance may fall
+    into other fringes by that: what costs more than before, (k,), is tried again in this light.
+    """
+    problem = sweep.problem
+    there, step = settled(sweep, start, most_turns)
+    if _gain(problem, costs, there) > LEAST_GAIN:
+        return there, step
+    worse = np.flatnonzero(cost(problem, there) - costs > LEAST_GAIN)
+    there, better = tried_again(problem, there, worse)
+    return settled(sweep, there, most_turns) if better.size else (there, step)
+
+
+def _gain(problem: Problem, costs: Array, there: Solution) -> float:
+    """Return how much less a solution costs than others (k,) together."""
+    return float(np.sum(costs) - np.sum(cost(problem, there)))
 
 
 def suspects(problem: Problem, at: Solution) -> IndexArray:

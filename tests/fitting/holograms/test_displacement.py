@@ -24,13 +24,8 @@ from fitting.holograms.problem import (
     Problem,
     normal,
 )
-from fitting.holograms.right_fringes.retries import (
-    _likely_sizes,
-    field_of_others,
-    relative_misfit,
-    tried_again,
-    unexplained,
-)
+from fitting.holograms.right_fringes.retries import field_of_others, relative_misfit, unexplained
+from fitting.holograms.right_fringes.single_holograms import _likely_sizes, tried_again
 from fitting.holograms.right_fringes.trials import agree, in_other_fringes, same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements

@@ -7,13 +7,20 @@ import numpy as np
 import pytest
 
 from fitting.holograms import solved_sweep
-from fitting.holograms.alternating_minimisation import Solution, Sweep, settled, with_field
+from fitting.holograms.alternating_minimisation import (
+    Solution,
+    Sweep,
+    cost,
+    settled,
+    with_field,
+)
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.displacement import _in_order, _refined, fit_displacements
 from fitting.holograms.problem import GAIN_NEPERS, Problem
-from fitting.holograms.right_fringes import groups, retries, trials
+from fitting.holograms.right_fringes import groups, retries, single_holograms, trials
 from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.groups import (
+    _at_rest,
     _beyond,
     _Candidates,
     _candidates,
@@ -25,6 +32,7 @@ from fitting.holograms.right_fringes.groups import (
     smoothest,
 )
 from fitting.holograms.right_fringes.retries import in_right_fringes
+from fitting.holograms.right_fringes.single_holograms import tried_again
 from fitting.holograms.right_fringes.trials import (
     in_other_fringes,
     same_fringe,
@@ -245,17 +253,17 @@ def test_a_group_that_was_rejected_is_not_tried_again(sweep, problem, found, mon
 def test_a_hologram_that_was_not_explained_better_is_not_tried_again(problem, found, monkeypatch):
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
     failed = FailedTrials()
-    _, better = retries.tried_again(problem, at, LOST[3:4], (), failed)
+    _, better = tried_again(problem, at, LOST[3:4], (), failed)
     assert not better.size
-    monkeypatch.setattr(retries, "solved_from", lambda *_: pytest.fail("tried again"))
-    retries.tried_again(problem, at, LOST[3:4], (), failed)
+    monkeypatch.setattr(single_holograms, "solved_from", lambda *_: pytest.fail("tried again"))
+    tried_again(problem, at, LOST[3:4], (), failed)
 
 
 def test_a_hologram_that_has_moved_is_tried_again(problem, astray):
     failed = FailedTrials()
-    _, better = retries.tried_again(problem, astray, LOST[:1], (), failed)
+    _, better = tried_again(problem, astray, LOST[:1], (), failed)
     assert better.size
-    _, again = retries.tried_again(problem, astray, LOST[:1], (), failed)
+    _, again = tried_again(problem, astray, LOST[:1], (), failed)
     assert LOST[0] in again
 
 
@@ -391,6 +399,25 @@ def test_a_group_that_breaks_off_moves_together(sweep, problem, found, folded, m
     assert same_fringe(at.amplitude, found.amplitude_rad).all()
 
 
+def test_what_falls_into_another_fringe_as_a_group_moves_is_tried_again(
+    sweep, problem, found, monkeypatch
+):
+    level = Level.of(sweep.block_amplitudes, sweep.basis)
+    blocks = Sweep(problem, problem.exact(), level.smooth, found.change)
+    fallen, others = found.amplitude_rad.copy(), np.arange(LOST[0] - 6, LOST[0] - 2)
+    fallen[others] *= 0.3
+    start = Solution(fallen, found.gain, found.object_field, found.field_variance)
+    costs = cost(problem, replace(start, amplitude=found.amplitude_rad))
+    alone, _ = settled(blocks, start, 4)
+    assert not same_fringe(alone.amplitude[others], found.amplitude_rad[others]).any()
+    there, _ = _at_rest(blocks, start, costs, 4)
+    assert same_fringe(there.amplitude, found.amplitude_rad).all()
+    # Where all costs less than before, they are left to the next search.
+    monkeypatch.setattr(groups, "tried_again", lambda *_: pytest.fail("tried again"))
+    there, _ = _at_rest(blocks, start, costs + 1e4, 4)
+    assert (there.amplitude == alone.amplitude).all()
+
+
 def test_two_starts_may_differ_by_more_than_two_solutions_of_one_start(problem, found):
     one = found.amplitude_rad
     fringes = np.flatnonzero(with_fringes(problem, 1.3 * one, one))
@@ -448,9 +475,7 @@ def test_trials_that_have_led_to_the_same_solution_are_followed_once(problem, fo
     at = Solution(found.amplitude_rad, found.gain, found.object_field, found.field_variance)
     amplitude = found.amplitude_rad.copy()
     amplitude[number] *= 0.3
-    there, better = retries.tried_again(
-        problem, replace(at, amplitude=amplitude), np.array([number])
-    )
+    there, better = tried_again(problem, replace(at, amplitude=amplitude), np.array([number]))
     assert list(better) == [number]
     assert same_fringe(there.amplitude[number], found.amplitude_rad[number])
     first, *later = sizes[:3]

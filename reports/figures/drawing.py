@@ -205,8 +205,9 @@ def draw_response(axes: Axes, sweep: SweepFit, lines_hz: Sequence[float]) -> Non
     ):  # fmt: skip
         if letter in {name[0] for name in sweep.measured}:
             axes.plot([], [], color=_DARK_COLOUR[letter], label=f"{letter}: {word} modes")
-    # To the right of the axes, because peaks and their names may be anywhere on them.
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    # To the right of the axes, because peaks and their names may be anywhere on them, and below the
+    # names of fringes.
+    axes.legend(loc="lower left", bbox_to_anchor=(1.0, 0.0), frameon=False)
     how = "peak amplitude of every mode" if sweep.joint else "fringes counted for each mode shape"
     title = f"Reed {visible(sweep.reed)}, series {visible(sweep.series)}: {how}"
     # A name may hold what matplotlib takes for mathematics.
@@ -270,6 +271,8 @@ def _dress(axes: Any, response: Response) -> None:
     maxima_nm = 1e9 * first_sideband_maxima_m(max(_FRINGES), response.wavelength_m)
     for fringe in _FRINGES:
         nm = float(maxima_nm[fringe - 1])
+        if nm > axes.get_ylim()[1]:
+            continue
         axes.axhline(nm, color="0.6", linewidth=0.8, linestyle=":")
         axes.annotate(
             f"bright fringe {fringe}: {nm:.0f} nm", (1.005, nm),

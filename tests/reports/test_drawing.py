@@ -252,6 +252,24 @@ def test_peaks_of_the_response_are_named_where_they_are(fitted, sweep_a):
         assert low < found.amplitude_nm < high
 
 
+@pytest.mark.parametrize("largest_nm", [30.0, 300.0, 2500.0, 30e3])
+def test_names_of_fringes_and_legend_can_be_read(fitted, largest_nm):
+    sweep = fitted.sweeps[0]
+    response, joint = sweep.response, sweep.joint
+    factor = largest_nm / float(np.nanmax(response.peak.nm))
+    peak = replace(response.peak, nm=factor * response.peak.nm)
+    louder = replace(response, peak=peak, amplitude_nm=factor * response.amplitude_nm)
+    figure = response_plot(replace(sweep, response=louder, joint=joint), (4308.6,))
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    shown = [t for t in axes.texts if "bright fringe" in t.get_text()]
+    boxes = [t.get_window_extent() for t in shown]
+    legend = axes.get_legend().get_window_extent()
+    assert not any(box.overlaps(legend) for box in boxes)
+    assert all(axes.get_ylim()[0] < t.xy[1] < axes.get_ylim()[1] for t in shown)
+    assert len(shown) == {30.0: 1, 300.0: 2}.get(largest_nm, 3)
+
+
 def test_names_of_close_modes_can_be_read(fitted):
     sweep = fitted.sweeps[0]
     hz = sweep.response.drive_hz

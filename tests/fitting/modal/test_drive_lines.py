@@ -165,42 +165,84 @@ class Bare:
     ripple: object = None
 
 
-@pytest.fixture
-def found_in_turns(monkeypatch):
-    """Lines whose strengths are found one after the other; returns how often a sweep is fitted."""
+def fitted_once(evidence=0.0, mode_hz=2000.0):
+    """What a fit returns that has one mode."""
+    return SimpleNamespace(
+        end=SimpleNamespace(state=None, scatter=None),
+        logs=np.log([mode_hz, 0.03]),
+        model=SimpleNamespace(ripple=None),
+        magnitude_covariance=None,
+        log_evidence=evidence,
+    )
 
-    def of(*strengths):
-        numbers = [[np.log(4700.0), np.log(20.0), each, 0.0] for each in strengths]
-        turns = [DriveLines(np.array([each]), 1e-4 * np.eye(4)) for each in numbers]
-        fitted, optimum = (
-            [],
-            SimpleNamespace(
-                end=SimpleNamespace(state=None, scatter=None),
-                logs=np.log([2000.0, 0.03]),
-                model=SimpleNamespace(ripple=None),
-                magnitude_covariance=None,
-            ),
-        )
-        monkeypatch.setattr(drive_lines, "_lines", lambda *_: turns.pop(0))
+
+def lines_of(*strengths, pole_hz=4700.0):
+    """Lines of these strengths, each with a standard error of 0.01."""
+    numbers = np.array([[np.log(pole_hz), np.log(20.0), each, 0.0] for each in strengths])
+    return DriveLines(numbers.reshape(-1, 4), 1e-4 * np.eye(4 * len(strengths)))
+
+
+@pytest.fixture
+def in_turns(monkeypatch):
+    """Lines, and fits that expect them, one after the other.
+
+    Returns what is expected in each fit, and what is returned in the end.
+    """
+
+    def of(lines, fits):
+        left, fits, expected = list(lines), list(fits), []
+        monkeypatch.setattr(drive_lines, "_lines", lambda *_: left.pop(0))
         monkeypatch.setattr(drive_lines, "smooth_ripple", lambda _: None)
         monkeypatch.setattr(drive_lines, "expecting", lambda _, lines: lines)
 
         def fit(lines, *_):
-            fitted.append(float(lines.parameters[0, 2]))
-            return optimum
+            expected.append(lines.parameters[:, 2].tolist())
+            return fits.pop(0)
 
         monkeypatch.setattr(drive_lines, "with_ripple", fit)
-        with_lines(optimum, None, Bare())
-        return fitted
+        return expected, with_lines(fitted_once(), None, Bare())
 
     return of
 
 
-def test_lines_are_found_again_until_they_stay_where_they_are(found_in_turns):
-    # The standard error of a strength is 0.01.
-    assert found_in_turns(0.30, 0.301) == [0.30]
-    assert found_in_turns(0.30, 0.32, 0.34, 0.341) == [0.30, 0.32, 0.34]
-    assert len(found_in_turns(*np.linspace(0.1, 0.5, 20))) == 5
+@pytest.mark.parametrize(("strengths", "count"), [
+    ([0.30, 0.301], 1), ([0.30, 0.32, 0.34, 0.341], 3), (np.linspace(0.1, 0.5, 20), 5),
+])  # fmt: skip
+def test_lines_are_found_again_until_they_stay_where_they_are(in_turns, strengths, count):
+    fits = [fitted_once() for _ in range(5)]
+    expected, _ = in_turns([lines_of(each) for each in strengths], fits)
+    assert expected == [[each] for each in strengths[:count]]
+
+
+def test_the_last_turn_is_returned_if_lines_come_to_rest_or_else_the_likeliest(in_turns):
+    fits = [fitted_once(evidence) for evidence in (1.0, 3.0, 2.0, 1.0, 0.0)]
+    _, found = in_turns([lines_of(each) for each in (0.30, 0.32, 0.34, 0.341)], fits)
+    assert found is fits[2]
+    _, found = in_turns([lines_of(each) for each in (0.30, 0.32, 0.34, 0.36, 0.38)], fits)
+    assert found is fits[1]
+
+
+def test_another_line_is_expected_once_it_shows(in_turns):
+    lines = [lines_of(0.3), lines_of(0.3, 0.1), lines_of(0.3, 0.1)]
+    expected, _ = in_turns(lines, [fitted_once(), fitted_once()])
+    assert expected == [[0.3], [0.3, 0.1]]
+
+
+def test_a_fit_that_has_expected_what_may_be_a_mode_is_not_returned(in_turns):
+    """The mode is found where the line is, which is too high for a chamber."""
+    there = fitted_once(mode_hz=4700.0)
+    expected, found = in_turns([lines_of(0.6), lines_of(0.6)], [there])
+    assert expected == [[0.6]]
+    assert found is None
+    # A lower line, elsewhere, stays.
+    both = DriveLines(
+        np.concatenate([lines_of(0.6).parameters, lines_of(0.1, pole_hz=9000.0).parameters]),
+        1e-4 * np.eye(8),
+    )
+    fits = [fitted_once(9.0, mode_hz=4700.0), fitted_once(1.0), fitted_once(1.0)]
+    expected, found = in_turns([both, both, lines_of(0.1, pole_hz=9000.0)], fits)
+    assert expected == [[0.6, 0.1], [0.1]]
+    assert found is fits[1]
 
 
 @pytest.mark.parametrize(("mode_hz", "strength", "may_be"), [

@@ -65,11 +65,8 @@ _TURNS, _LINEAR = 2, 0.03
 # ... and how often at most while outliers get into other fringes, some at a time (decision 0035).
 # Chosen: a bound of the time; the largest group so far, 15 outliers, changed no more after four.
 _MOST_TURNS = 8
-# Fraction of outliers within the width of a mode on both sides above which it is not identified.
-# Two neighbours are too many: in steps of 25 cents, these are its peak.
-_MOST_OFF = 0.5
 # Shear of wood loses up to twice as much as bending (Labonnote et al., Wood Sci. Technol. 47, 1033,
-# 2013). What loses more than that, against the others, is two resonances.
+# 2013). What loses more than that, against the others, is two resonances (decision 0077).
 _MOST_LOSS = 2.0
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
@@ -433,8 +430,7 @@ def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:
         return f"the standard error of its frequency is {modal.error_cents[m]:.0f} cents"
     if (loss := modal.loss_over_others(m)) > _MOST_LOSS:
         return f"its loss factor is {loss:.1f} times that of other modes: it may be two resonances"
-    off = modal.off[np.abs(np.log(block_amplitudes.drive_hz / modal.hz[m])) < modal.loss_factor[m]]
-    if off.size and (np.mean(off) > _MOST_OFF or np.any(off[1:] & off[:-1])):
+    if modal.is_left_out(m, block_amplitudes.drive_hz):
         return "holograms at its resonance are in another fringe, or are not explained"
     # A resonance shows by the response on both sides of it.
     width = 0.5 * float(modal.loss_factor[m]) + _CENT * float(modal.error_cents[m])

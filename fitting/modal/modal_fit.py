@@ -4,11 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import theilslopes
 
 from fitting.modal.drive_prior import DriveForm
 from fitting.modal.model import State
 from fitting.modal.posterior import ResonantDisplacements
 from holography.arrays import Array, ComplexArray
+
+# Fewest other modes whose losses show a power of frequency. Chosen: half of them may be wrong.
+_FEWEST_OF_A_POWER = 4
+# Part of the width of a mode that may be left out without a gap. Chosen: half of what it is from
+# its peak to half of its power; in steps of 25 cents, two neighbours are more (decision 0077).
+_MOST_LEFT_OUT = 0.25
 
 
 @dataclass(frozen=True)
@@ -95,12 +102,41 @@ class ModalFit:
     state: State
 
     def loss_over_others(self, mode: int) -> float:
-        """Return the loss factor of a mode over the median of all others, 1 if it is the only one.
+        """Return the loss factor of a mode over that of the others, 1 if it is the only one.
+
+        That of the others is their median. If there are enough, it is a power of frequency, up to
+        that of a dashpot: then losses of all modes may grow with frequency.
 
         Parameters
         ----------
         mode : int
             Position among the fitted modes.
         """
-        others = np.delete(self.loss_factor, mode)
-        return float(self.loss_factor[mode] / np.median(others)) if others.size else 1.0
+        log_hz, log_loss = np.log(self.hz / self.hz[mode]), np.log(self.loss_factor)
+        others = np.arange(len(log_hz)) != mode
+        if not others.any():
+            return 1.0
+        power = 0.0
+        if np.count_nonzero(others) >= _FEWEST_OF_A_POWER:
+            power = float(np.clip(theilslopes(log_loss[others], log_hz[others])[0], -1, 1))
+        expected = np.median(log_loss[others] - power * log_hz[others])
+        return float(np.exp(log_loss[mode] - expected))
+
+    def is_left_out(self, mode: int, drive_hz: Array) -> bool:
+        """Whether most of a resonance, or a part of it without a gap, is left out.
+
+        Parameters
+        ----------
+        mode : int
+            Position among the fitted modes.
+        drive_hz : (k,) float
+            Drive frequencies, in any order.
+        """
+        width, away = float(self.loss_factor[mode]), np.log(drive_hz / self.hz[mode])
+        near = np.flatnonzero(np.abs(away) < width)
+        near = near[np.argsort(away[near])]
+        off = np.flatnonzero(self.off[near])
+        if 2 * off.size > near.size:
+            return True
+        runs = np.split(away[near[off]], np.flatnonzero(np.diff(off) > 1) + 1)
+        return any(run.size and run[-1] - run[0] > _MOST_LEFT_OUT * width for run in runs)

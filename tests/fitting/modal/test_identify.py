@@ -246,9 +246,9 @@ def test_a_mode_whose_own_holograms_are_left_out_is_not_identified(sweep):
 def test_a_mode_that_loses_far_more_than_others_is_not_identified(sweep):
     joint = sweep.joint
     own, loss = joint.names.index("T2"), joint.modal.loss_factor
-    usual = np.median(np.delete(loss, own))
+    usual = joint.modal.loss_over_others(own)
     for factor, refused in ((1.9, False), (2.1, True)):
-        changed_loss = np.where(np.arange(len(loss)) == own, factor * usual, loss)
+        changed_loss = np.where(np.arange(len(loss)) == own, factor / usual * loss, loss)
         modal = replace(joint.modal, loss_factor=changed_loss)
         assert modal.loss_over_others(own) == pytest.approx(factor)
         changed = refit_of(joint, modal=modal)

@@ -41,7 +41,6 @@ from fitting.holograms.object_field import (
     smooth_functions,
 )
 from fitting.holograms.problem import Problem
-from fitting.holograms.right_fringes.failed_trials import FailedTrials
 from fitting.holograms.right_fringes.retries import in_right_fringes, relative_misfit, unexplained
 from fitting.holograms.right_fringes.trials import (
     in_other_fringes,
@@ -202,10 +201,10 @@ def finished(
     sweep = Sweep(problem, problem.exact(), level.smooth, change, common)
     at, step = settled(sweep, at, most_turns)
     sweep, now, at, step = _with_scatter(sweep, at, step, most_turns)
-    theirs, failed = None if other is None else other[steps], FailedTrials()
+    theirs = None if other is None else other[steps]
     for _ in range(0 if quick else _MOST_CHANGES):
         before = at.amplitude
-        at, step = in_right_fringes(sweep, at, step, most_turns, theirs, failed)
+        at, step = in_right_fringes(sweep, at, step, most_turns, theirs)
         if np.all(same_fringe(before, at.amplitude)):
             break
         # What was in wrong fringes had other gains, and bent the light.
@@ -290,15 +289,16 @@ def displacements_of(
     """Collect the displacements of the solved holograms; the others have no information."""
     end, size, holograms = step.linear.normal, at.amplitude.shape[1], len(whole.real)
     of_these = end.misfit / whole.seen[solved]
-    # Marginalise over the gains of the holograms.
-    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1] + whole.half_gain_precision
+    # Noise of variance 1 has half of it in either part.
+    scale = whole.independent / np.maximum(of_these, 1)
+    # Marginalise over the gains of the holograms, whose prior is not scaled.
+    coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1]
+    known = known + whole.half_gain_precision / scale
     marginal = end.matrix[:, :-1, :-1] - coupling @ coupling.swapaxes(1, 2) / known[:, None, None]
     amplitude: ComplexArray = np.zeros((holograms, size), complex)
     information = np.zeros((holograms, 2 * size, 2 * size))
     misfit, gain = np.full(holograms, np.inf), np.zeros(holograms)
     amplitude[solved], gain[solved], misfit[solved] = at.amplitude, at.gain, of_these
-    # Noise of variance 1 has half of it in either part.
-    scale = whole.independent / np.maximum(of_these, 1)
     information[solved] = 2 * marginal * scale[:, None, None]
     weight = np.zeros(holograms)
     weight[solved] = 1 / np.maximum(of_these, 1)

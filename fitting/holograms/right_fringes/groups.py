@@ -95,7 +95,7 @@ def moved_together(
     weight = 1 / np.maximum(step.linear.normal.misfit / problem.seen, 1)
     costs = cost(problem, at)
     for group in _neighbourhoods(suspects(problem, at), len(at.gain)):
-        here = int(group[0]), at.amplitude[group], problem.gain_nepers
+        here = int(group[0]), at.amplitude[group]
         if failed.has_group(*here):
             continue
         start = smoothest(problem, at, group)

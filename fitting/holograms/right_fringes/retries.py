@@ -146,7 +146,6 @@ def in_right_fringes(
     step: FieldStep,
     most_turns: int,
     other: ComplexArray | None = None,
-    failed: FailedTrials | None = None,
 ) -> tuple[Solution, FieldStep]:
     """Solve holograms in wrong fringes again until nothing is explained better.
 
@@ -160,12 +159,9 @@ def in_right_fringes(
         Largest number of alternating steps after each change.
     other : (k, j) complex, optional
         Amplitudes of another solution: where they are in other fringes, both are tried.
-    failed : FailedTrials, optional
-        Trials that are not repeated: those that fail are added.
     """
-    hopeless = moved = np.zeros(0, np.intp)
-    gain_nepers = sweep.problem.gain_nepers
-    known = failed or FailedTrials()
+    hopeless, places = np.zeros(0, np.intp), list[ComplexArray]()
+    gain_nepers, failed = sweep.problem.gain_nepers, FailedTrials()
     for _ in range(_MOST_RETRIES):
         off = np.union1d(_misfitting(sweep, step), with_wrong_gain(at.gain, gain_nepers))
         if other is not None:
@@ -173,20 +169,23 @@ def in_right_fringes(
         off = np.setdiff1d(off, hopeless)
         before = at.amplitude
         others = () if other is None else (other,)
-        at, better = tried_again(sweep.problem, at, off, others, known)
+        at, better = tried_again(sweep.problem, at, off, others, failed)
         if better.size:
-            # What is better in the same fringe comes to rest with the light; so does what has moved
-            # before, and is again where it was.
+            # What is better in the same fringe follows the light. What moves to where it has been
+            # before would move to and fro.
             elsewhere = better[~same_fringe(before[better], at.amplitude[better])]
-            again = np.intersect1d(elsewhere, moved)
-            hopeless = np.union1d(hopeless, np.union1d(np.setdiff1d(off, elsewhere), again))
-            moved = np.union1d(moved, elsewhere)
+            new = [~same_fringe(each[elsewhere], at.amplitude[elsewhere]) for each in places]
+            moving = elsewhere[np.all(new, axis=0)] if places else elsewhere
+            hopeless = np.union1d(hopeless, np.setdiff1d(np.union1d(off, elsewhere), moving))
+            places += [before, at.amplitude]
             at, step = settled(sweep, at, most_turns)
             continue
-        together = moved_together(sweep, at, step, most_turns, known)
+        together = moved_together(sweep, at, step, most_turns, failed)
         if together is None:
             break
         at, step = together
+        # What failed in light that the group had bent may not fail in this light.
+        failed = FailedTrials()
     return at, step
 
 

@@ -70,7 +70,7 @@ def tried_again(
                 *(_likely_sizes(problem, at, number, other[number]) for other in others),
             ]
         )
-        if known.has_hologram(number, starts, problem.gain_nepers):
+        if known.has_hologram(number, starts):
             continue
         steps = np.full(len(starts), number)
         found, louder, left = solved_from(problem.some(steps), at, steps, starts)
@@ -78,7 +78,7 @@ def tried_again(
         is_better = so_far[number] - left[best] > LEAST_GAIN
         misled = is_better and not same_fringe(amplitude[number], found[best])
         if not misled:
-            known.add_hologram(number, starts, problem.gain_nepers)
+            known.add_hologram(number, starts)
         if is_better:
             amplitude[number], gain[number], good[number] = found[best], louder[best], True
             better.append(number)

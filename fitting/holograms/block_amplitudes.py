@@ -33,9 +33,11 @@ _BLOCK_M = 0.38e-3
 # ... and pixels along it, however coarse they are. The place of a block is the centre of its light,
 # which a single pixel, one speckle that it resolves, does not have.
 _LEAST_PIXELS = 2
-# Share of a block's light that may come from farther than a side of the block, along an axis: of
-# both together half a per cent, by which the brightness of holograms scatters anyway. The edges of
-# the sensor are darkened for that.
+# Fraction of a pixel's light that may come from farther than a side of its block, along an axis.
+# Chosen: of a block it is then a per cent at most, along both axes together. If this light cancels,
+# the block amplitude is half a per cent smaller, as much as brightness scatters on ordinary benches
+# (`gain_scatter` of `physics.parameters.disorder`). The edges of the sensor are darkened for that
+# (decision 0074).
 _FROM_BEYOND = 0.0025
 # Margin inside the contour: blocks on the edge contain less reed than others.
 _EDGE_M = 0.25e-3

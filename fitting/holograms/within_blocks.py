@@ -2,11 +2,11 @@
 
 A block amplitude is the mean of F(u) over the light of a block, and a resolution cell of the
 hologram contains many scatterers with random phases. The amplitude is therefore ``A (F(u) + Σ_i s_i
-dF[∂u/∂x_i] + ½ Σ_i d²F[∂u/∂x_i, ∂u/∂x_i])``. The slopes ∂u/∂x_i are over the spread of light that
-fills the block evenly. s_i is the mean position of the scatterers, weighted by their complex
-fields: a complex number that speckle decides, the same in all holograms of a sweep, and found from
-them. Of the third term, speckle leaves a random part of the same size, which is added to the noise:
-blocks across which fringes pass say little.
+dF[∂u/∂x_i] + ½ Σ_i d²F[∂u/∂x_i, ∂u/∂x_i])``. The slopes ∂u/∂x_i are over the standard deviation of
+where the light of the block comes from, under the window of the sensor. s_i is the mean position of
+the scatterers, weighted by their complex fields: a complex number that speckle decides, the same in
+all holograms of a sweep, and found from them. Of the third term, speckle leaves a random part of
+the same size, which is added to the noise: blocks across which fringes pass say little.
 """
 
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ from holography.arrays import Array, ComplexArray
 
 # A plane through a block and its eight neighbours gives the slope.
 _NEIGHBOURS = 9
-# Start of the variance of positions, in units of that of light that fills the block evenly, and how
-# often it is found again.
+# Start of the variance of positions, in units of that of the light of a block, and how often it is
+# found again.
 _START, _TURNS = 0.1, 4
 
 
@@ -125,7 +125,7 @@ def within_blocks(problem: Problem, a: ComplexArray) -> WithinBlocks | None:
 
 
 def mean_bend(problem: Problem, a: ComplexArray) -> ComplexArray:
-    """Return the change (k, n) that even light gives the mean of F(u) over a block.
+    """Return the change (k, n) of the mean of F(u) over the light of a block.
 
     It is ``½ Σ_i d²F[∂u/∂x_i, ∂u/∂x_i]``, with the slopes over the spread of the light. From
     ``dF = α 1 + β u uᵀ`` and ``∂β/∂u = γ u`` follows ``d²F[w, w] = 2 β (u·w) w + β |w|² u + γ
@@ -158,8 +158,8 @@ def speckle_positions(
 ) -> ComplexArray | None:
     """Find the mean positions (n, 2) of light from residuals of the first sideband.
 
-    They are in units of the standard deviation of light that fills a block evenly. None if the
-    problem has no slopes.
+    They are in units of the standard deviation of where the light of a block comes from. None if
+    the problem has no slopes.
 
     Parameters
     ----------

@@ -193,3 +193,59 @@ def test_hot_pixels_are_no_nonlinearity() -> None:
     blind = read_flat([part(lit, exposures)], 50.0)
     linearity = [v for k, v in left(flat_group(blind, found, SENSOR)).items() if "linearity" in k]
     assert np.abs(linearity).max() > 4
+
+
+def deviations(group):
+    """Standard deviations of noise, and of each nuisance, by number."""
+    names = [p.quantity + p.region for p in group.coordinates]
+    errors = group.errors
+
+    def of(columns):
+        return dict(zip(names, np.sqrt(np.sum(columns**2, axis=1)), strict=True))
+
+    noise = dict(zip(names, np.sqrt(np.diag(errors.covariance())), strict=True))
+    return noise, {each.name: of(each.columns) for each in errors.nuisances}
+
+
+def test_what_dark_frames_measure_is_noise_and_what_cameras_differ_by_is_disorder() -> None:
+    found = dark()
+    noise, disorder = deviations(dark_group(found, SENSOR))
+    assert noise["offset"] == pytest.approx(0.1)
+    # The log of a standard deviation has half the error of that of a variance.
+    of_rows = np.hypot(0.01, np.sqrt(2 / (N * (found.frames - 1))))
+    assert noise["read noise"] == pytest.approx(0.005, rel=0.2)
+    assert noise["noise of rows"] == pytest.approx(of_rows, rel=0.02)
+    assert noise["hot pixels"] == 1
+    # Four stacks of dark frames, drawn anew, scatter as stated.
+    again = [read_dark([part([drawn(0.0, seed)], [0.08])]) for seed in range(20, 60)]
+    scatter = np.std([each.row_excess for each in again])
+    one = np.sqrt(2 / (N * (again[0].frames - 1)))
+    assert scatter == pytest.approx(one, rel=0.35)
+    assert disorder["black level"]["offset"] == 10
+    assert disorder["noise of the camera"]["read noise"] == pytest.approx(np.hypot(0.25, 0.1))
+    assert disorder["noise in common"]["noise of rows"] > 0.5
+    for name, column in disorder.items():
+        assert sum(value > 0 for value in column.values()) == (2 if "common" in name else 1)
+
+
+def test_all_rates_of_light_share_the_error_of_the_shortest_exposure() -> None:
+    group = flat_group(flat(), dark(), SENSOR)
+    covariance = group.errors.covariance()
+    rates = [k for k, p in enumerate(group.coordinates) if p.quantity.startswith("linearity")]
+    shared = covariance[np.ix_(rates, rates)] - np.diag(np.diag(covariance)[rates])
+    off = shared[~np.eye(len(rates), dtype=bool)]
+    assert off == pytest.approx(off[0])
+    assert 0 < off[0] < covariance[rates[0], rates[0]]
+    _, disorder = deviations(group)
+    # A lamp that drifts between two exposures.
+    for k in rates:
+        name = group.coordinates[k].quantity
+        assert disorder["drift of the lamp"][name] == pytest.approx(3e-3 * np.sqrt(2))
+    assert disorder["gain of the camera"]["electrons per number"] == pytest.approx(0.1)
+
+
+def test_of_one_exposure_there_is_no_linearity() -> None:
+    one = read_flat([part([drawn(3000.0)], [0.04])], 50.0)
+    group = flat_group(one, dark(), SENSOR)
+    assert not any(p.quantity.startswith("linearity") for p in group.coordinates)
+    assert np.isfinite(group.whitened_residual(BenchParameters())).all()

@@ -348,7 +348,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     drive = modal.drive / phasors.volts
     at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
     noise = np.array([step.noise_level for step in steps])
-    seen = np.abs(found.object_field) ** 2
+    seen = phasors.noise * np.abs(found.object_field) ** 2
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
@@ -398,10 +398,10 @@ def _signal(fitted: JointFit, noise: Array) -> Array:
 
     Block by block: light and vibration may be taken for each other smoothly over the reed.
     """
-    found = fitted.displacements
+    found, unit = fitted.displacements, fitted.block_amplitudes.noise
     moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
-    signal: Array = found.gain + 0.5 * np.log(noise * np.maximum(np.mean(moved**2, axis=1), 1e-12))
-    return signal
+    power = np.maximum(np.mean(unit * moved**2, axis=1), 1e-12)
+    return np.asarray(found.gain + 0.5 * np.log(noise * power))
 
 
 def _kept(fitted: JointFit) -> NDArray[np.intp]:

@@ -93,7 +93,8 @@ def _values(fit: JointFit, name: str) -> tuple[Array, Array, Array]:
     """Amplitude of the hologram nearest to a resonance, shape, and residual of the hologram."""
     m = fit.names.index(name)
     nearest = int(np.abs(np.log(fit.block_amplitudes.drive_hz / fit.modal.hz[m])).argmin())
-    amplitude = np.abs(fit.block_amplitudes.value[:, nearest]).astype(float)
+    blocks = fit.block_amplitudes
+    amplitude = np.abs(blocks.value[:, nearest]) * np.sqrt(blocks.noise)
     white = np.percentile(amplitude, _WHITE_PERCENTILE)
     shape = fit.basis.functions @ fit.modal.shapes[m]
     largest = shape[np.abs(shape).argmax()]

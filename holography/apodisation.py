@@ -90,7 +90,7 @@ class Taper:
         spectrum = scipy.fft.fft(self.window(_SAMPLES) ** 2).real / _SAMPLES
         return np.asarray(spectrum[:pixels])
 
-    def independent(self, pixels: int) -> float:
+    def independent_fraction(self, pixels: int) -> float:
         """Return the number of independent sums of `pixels` pixels, over that of all.
 
         Light scattered by a rough surface is correlated as its noise is. The noise of a sum that is

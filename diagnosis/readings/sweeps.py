@@ -348,12 +348,12 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     drive = modal.drive / phasors.volts
     at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
     noise = np.array([step.noise_level for step in steps])
-    seen = phasors.noise * np.abs(found.object_field) ** 2
+    seen = phasors.noise_variance * np.abs(found.object_field) ** 2
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
     pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
-    fringes = phasors.noise @ (np.abs(phasors.recorded) ** 2 - 1) / pixels
+    fringes = phasors.noise_variance @ (np.abs(phasors.recorded) ** 2 - 1) / pixels
     shapes = fitted.basis.functions @ fitted.basis.shapes.T
     highest = np.argmax(np.abs(shapes), axis=0)
     return SweepReading(
@@ -398,7 +398,7 @@ def _signal(fitted: JointFit, noise: Array) -> Array:
 
     Block by block: light and vibration may be taken for each other smoothly over the reed.
     """
-    found, unit = fitted.displacements, fitted.block_amplitudes.noise
+    found, unit = fitted.displacements, fitted.block_amplitudes.noise_variance
     moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     power = np.maximum(np.mean(unit * moved**2, axis=1), 1e-12)
     return np.asarray(found.gain + 0.5 * np.log(noise * power))
@@ -457,7 +457,7 @@ def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
         columns = np.hstack([*own, np.stack([lit[k] * F[k], *waves[:, k], left[k]], axis=1)])
         amplitude[:, k], variance[:, k] = _beside(_real(columns), 2 * functions.shape[1] + 1)
     # Blocks that share noise know less than as many independent ones.
-    shared = variance / fitted.block_amplitudes.independent
+    shared = variance / fitted.block_amplitudes.independent_fraction
     return amplitude, shared * np.maximum(found.misfit, 1)
 
 

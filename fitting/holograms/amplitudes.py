@@ -139,7 +139,7 @@ def gain_scatter(problem: Problem, gain: Array, matrix: Array) -> float:
     along = np.linalg.solve(matrix[:, :size, :size] + weak, coupling)
     known = matrix[:, -1, -1] - np.sum(coupling * along, axis=(1, 2))
     # Half of the precision, as the misfit is half of χ².
-    sure = problem.independent * known > 0.5 / GAIN_NEPERS**2
+    sure = problem.independent_fraction * known > 0.5 / GAIN_NEPERS**2
     if np.count_nonzero(sure) < FEWEST_GAINS:
         return GAIN_NEPERS
     known = np.where(sure, known, 0)
@@ -151,6 +151,6 @@ def gain_scatter(problem: Problem, gain: Array, matrix: Array) -> float:
     slow: Array = window @ free / (window.sum(axis=1) + 0.5 / GAIN_NEPERS**2)
     scatter = float(median_abs_deviation((free - slow)[sure], scale="normal"))
     # Of noise that blocks share, fits take less for noise than there is.
-    own = float(np.median(0.5 / known[sure])) / problem.independent
+    own = float(np.median(0.5 / known[sure])) / problem.independent_fraction
     found = np.sqrt(max(scatter**2 - own, 0.0))
     return float(np.clip(found, LEAST_GAIN_NEPERS, GAIN_NEPERS))

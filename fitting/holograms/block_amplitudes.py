@@ -98,9 +98,9 @@ class BlockAmplitudes:
         Sides of a block along x and y.
     spread : tuple of float
         Standard deviation, along x and y, of where the light of a block comes from, in its sides.
-    independent : float
+    independent_fraction : float
         Number of independent block amplitudes over that of all: neighbours share noise.
-    noise : (n,) float
+    noise_variance : (n,) float
         Variance of the noise of each, over that of a pixel of the image.
     step_index : (k,) int
         Index of each hologram in the protocol.
@@ -121,8 +121,8 @@ class BlockAmplitudes:
     y_m: Array
     size_m: tuple[float, float]
     spread: tuple[float, float]
-    independent: float
-    noise: Array
+    independent_fraction: float
+    noise_variance: Array
     step_index: NDArray[np.intp]
     recording_rank: NDArray[np.intp]
     drive_hz: Array
@@ -169,8 +169,9 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         y_m=np.sum(light * blocks.y_m, axis=1),
         size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
         spread=(across.spread_of_sum(blocks.wide), down.spread_of_sum(blocks.high)),
-        independent=across.independent(blocks.wide) * down.independent(blocks.high),
-        noise=noise,
+        independent_fraction=across.independent_fraction(blocks.wide)
+        * down.independent_fraction(blocks.high),
+        noise_variance=noise,
         step_index=np.array([step.index for step in steps]),
         recording_rank=_recording_rank(run, steps),
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),

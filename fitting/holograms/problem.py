@@ -59,7 +59,7 @@ class Problem:
         See `fitting.holograms.within_blocks.spread_slopes`.
     gain_nepers : float
         Prior standard deviation of log gains.
-    independent : float
+    independent_fraction : float
         See `BlockAmplitudes`.
     """
 
@@ -73,7 +73,7 @@ class Problem:
     weight: Array | None = None
     slopes: Array | None = None
     gain_nepers: float = GAIN_NEPERS
-    independent: float = 1.0
+    independent_fraction: float = 1.0
 
     @classmethod
     def of(

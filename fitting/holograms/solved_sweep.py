@@ -153,7 +153,7 @@ def problem_of(blocks: BlockAmplitudes, basis: ShapeBasis) -> Problem:
         blocks.value, basis.functions, BesselTable(), blocks.others, blocks.recording_rank
     )
     slopes = spread_slopes(blocks.x_m, blocks.y_m, blocks.size_m, blocks.spread, basis.functions)
-    return replace(problem, slopes=slopes, independent=blocks.independent)
+    return replace(problem, slopes=slopes, independent_fraction=blocks.independent_fraction)
 
 
 def with_all_blocks(level: Level, found: Displacements) -> Displacements:
@@ -290,7 +290,7 @@ def displacements_of(
     end, size, holograms = step.linear.normal, at.amplitude.shape[1], len(whole.real)
     of_these = end.misfit / whole.seen[solved]
     # Noise of variance 1 has half of it in either part.
-    scale = whole.independent / np.maximum(of_these, 1)
+    scale = whole.independent_fraction / np.maximum(of_these, 1)
     # Marginalise over the gains of the holograms, whose prior is not scaled.
     coupling, known = end.matrix[:, :-1, -1:], end.matrix[:, -1, -1]
     known = known + whole.half_gain_precision / scale
@@ -311,7 +311,8 @@ def displacements_of(
         amplitude_rad=amplitude,
         information=information,
         common_mode=replace(
-            step.common_mode.counting(whole.independent).among(holograms, solved), small=small
+            step.common_mode.counting(whole.independent_fraction).among(holograms, solved),
+            small=small,
         ),
         recording_rank=whole.recording_rank,
         misfit=misfit,

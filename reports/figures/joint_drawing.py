@@ -94,7 +94,7 @@ def _values(fit: JointFit, name: str) -> tuple[Array, Array, Array]:
     m = fit.names.index(name)
     nearest = int(np.abs(np.log(fit.block_amplitudes.drive_hz / fit.modal.hz[m])).argmin())
     blocks = fit.block_amplitudes
-    amplitude = np.abs(blocks.value[:, nearest]) * np.sqrt(blocks.noise)
+    amplitude = np.abs(blocks.value[:, nearest]) * np.sqrt(blocks.noise_variance)
     white = np.percentile(amplitude, _WHITE_PERCENTILE)
     shape = fit.basis.functions @ fit.modal.shapes[m]
     largest = shape[np.abs(shape).argmax()]

@@ -134,7 +134,7 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
             reached=np.ones(holograms, dtype=bool),
         ),
         basis=SimpleNamespace(functions=functions),
-        block_amplitudes=SimpleNamespace(recorded=(fringes + left).T, independent=1.0),
+        block_amplitudes=SimpleNamespace(recorded=(fringes + left).T, independent_fraction=1.0),
     )  # fmt: skip
     monkeypatch.setattr(sweep_readings, "explained_amplitudes", lambda *_: fringes)
     template, variance = _templates(fitted)
@@ -143,7 +143,7 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
     # What displacements and gains take up is not of the same size in every hologram.
     assert found == pytest.approx(loss, rel=0.05)
     # Blocks that share noise know less.
-    fitted.block_amplitudes.independent = 0.5
+    fitted.block_amplitudes.independent_fraction = 0.5
     assert _templates(fitted)[1] == pytest.approx(2 * variance)
 
 
@@ -157,7 +157,7 @@ def test_light_is_that_of_all_pixels_whatever_noise_blocks_have():
             displacements=SimpleNamespace(
                 object_field=light / np.sqrt(block_noise), amplitude_rad=a, gain=np.zeros(6)
             ),
-            block_amplitudes=SimpleNamespace(noise=block_noise),
+            block_amplitudes=SimpleNamespace(noise_variance=block_noise),
             basis=SimpleNamespace(functions=functions),
         )
 

@@ -77,7 +77,7 @@ def test_sums_of_speckle_are_as_independent_as_stated(fraction, pixels):
     sums = np.sum((light.conj() * noise).reshape(1500, -1, pixels), axis=2)
     together = np.mean(np.abs(sums.sum(axis=1)) ** 2) / (count // pixels)
     assert np.mean(np.abs(sums) ** 2) / together == pytest.approx(
-        taper.independent(pixels), rel=0.12
+        taper.independent_fraction(pixels), rel=0.12
     )
 
 
@@ -85,7 +85,7 @@ def test_without_a_window_nothing_is_shared() -> None:
     taper = Taper(0.0)
     np.testing.assert_allclose(taper.window(32), 1)
     np.testing.assert_allclose(taper.noise_correlation(3), [1, 0, 0], atol=1e-12)
-    assert taper.independent(4) == pytest.approx(1)
+    assert taper.independent_fraction(4) == pytest.approx(1)
     assert taper.spread == 0
 
 

@@ -305,12 +305,12 @@ def test_under_a_window_noise_is_one_and_light_that_of_independent_pixels(plain)
     left, factor = apart(found.value, np.broadcast_to(phasor, found.value.shape))
     assert np.mean(np.abs(left) ** 2) * 87 / 86 == pytest.approx(1, abs=0.02)
     # The power of light is that of all pixels, also where their noise is shared.
-    assert np.mean(found.noise * factor**2) == pytest.approx(6 * 900, rel=0.03)
+    assert np.mean(found.noise_variance * factor**2) == pytest.approx(6 * 900, rel=0.03)
     # Of two by three pixels, the window leaves this many independent.
     windows = [taper.window(4096) for taper in TAPERS]
     pixels = 6 / np.prod([np.mean(window**4) for window in windows])
     assert 0.35 * 6 < pixels < 0.4 * 6
-    assert found.independent * np.mean(factor**2) == pytest.approx(900 * pixels, rel=0.05)
+    assert found.independent_fraction * np.mean(factor**2) == pytest.approx(900 * pixels, rel=0.05)
 
 
 def test_light_spreads_along_each_axis_as_far_as_its_window_lets_it(plain):
@@ -344,8 +344,8 @@ def test_neighbouring_blocks_share_noise_as_is_stated(plain):
     waves = [np.exp(2j * np.pi * (p * x + q * y)) for p in (-1, 0, 1) for q in (-1, 0, 1)]
     sums = np.array(waves) * (light.conj() / np.linalg.norm(light)) @ left
     power = np.mean(np.abs(sums) ** 2) * 87 / 86
-    assert power * found.independent == pytest.approx(1, abs=0.1)
-    assert found.independent < 0.8
+    assert power * found.independent_fraction == pytest.approx(1, abs=0.1)
+    assert found.independent_fraction < 0.8
 
 
 def test_noise_is_one_where_the_run_shows_nothing_but_noise(changed, resealed, block_amplitudes):

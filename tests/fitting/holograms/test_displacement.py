@@ -309,7 +309,7 @@ def test_information_of_small_amplitudes_is_that_of_the_formula(sweep, settled, 
 
 
 def test_blocks_that_share_noise_count_for_less(sweep, solved):
-    blocks = replace(sweep.block_amplitudes, independent=0.5)
+    blocks = replace(sweep.block_amplitudes, independent_fraction=0.5)
     found = solve(replace(sweep, block_amplitudes=blocks))
     whole, half = solved.information, found.information
     # Where fringes show the gain, all is half; where its prior does, that counts as before.

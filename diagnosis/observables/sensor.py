@@ -142,7 +142,7 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
 
 
 def _flat_errors(flat: FlatFrames, signal: Array, full_dn: float) -> Errors:
-    """Return errors of the numbers of `flat_group`, of which exposures are in order."""
+    """Return errors of the numbers of `flat_group`, from the shortest exposure to the longest."""
     several = len(signal) - 1
     # Within an exposure, the lamp flickers from frame to frame as the means of frames show.
     shown = np.hypot(flat.flicker / np.sqrt(flat.frames), _WANDER_DN / signal)

@@ -128,8 +128,9 @@ def _in_order(whole: Problem, found: Displacements) -> bool:
     """Whether no hologram is far from its noise, and few have another brightness than they should.
 
     At the peak of a resonance, displacements differ within blocks, and their holograms seem darker.
-    Brightness that scatters as much as it may where fringes show it is that of no bench: with it,
-    and with an object field that changes, wrong fringes may explain a whole sweep.
+    The brightness of ordinary benches scatters by a tenth of its limit (`gain_scatter` of
+    `physics.parameters.disorder`). Where fringes show that it scatters up to this limit, wrong
+    fringes may explain the whole sweep.
     """
     wrong = with_wrong_gain(found.gain, found.gain_nepers).size
     shown = np.count_nonzero(with_fringes(whole, found.amplitude_rad)) >= FEWEST_GAINS

@@ -59,16 +59,15 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
         if not lines.parameters.size:
             return None
         now = with_ripple(expecting(start, lines), given, now.end.state, at.end.scatter)
-        found.append(now)
+        # With its modes where they are now, a line that it has expected may be one of them.
+        if len(_apart_from_modes(lines, now).parameters) == len(lines.parameters):
+            found.append(now)
         if turn == _MOST_TURNS:
             break
         # The drive of this optimum seems surer than it is, as lines were expected in it.
         before, lines = lines, _apart_from_modes(_lines(now, bare, at.magnitude_covariance), now)
         if _agree(before, lines):
             return now
-        if len(lines.parameters) < len(before.parameters):
-            # It has expected a line that may be a mode.
-            found.clear()
     return likeliest(found) if found else None
 
 

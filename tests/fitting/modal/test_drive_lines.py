@@ -234,6 +234,12 @@ def test_a_fit_that_has_expected_what_may_be_a_mode_is_not_returned(in_turns):
     expected, found = in_turns([lines_of(0.6), lines_of(0.6)], [there])
     assert expected == [[0.6]]
     assert found is None
+    # Neither is the fit of the last turn.
+    strengths = np.linspace(0.6, 1.0, 5)
+    away = [fitted_once(0.0) for _ in range(4)]
+    last = fitted_once(9.0, mode_hz=4700.0)
+    _, found = in_turns([lines_of(each) for each in strengths], [*away, last])
+    assert found is away[0]
     # A lower line, elsewhere, stays.
     both = DriveLines(
         np.concatenate([lines_of(0.6).parameters, lines_of(0.1, pole_hz=9000.0).parameters]),

@@ -216,7 +216,7 @@ def test_what_dark_frames_measure_is_noise_and_what_cameras_differ_by_is_disorde
     assert noise["read noise"] == pytest.approx(0.005, rel=0.2)
     assert noise["noise of rows"] == pytest.approx(of_rows, rel=0.02)
     assert noise["hot pixels"] == 1
-    # Four stacks of dark frames, drawn anew, scatter as stated.
+    # Forty stacks of dark frames scatter as stated.
     again = [read_dark([part([drawn(0.0, seed)], [0.08])]) for seed in range(20, 60)]
     scatter = np.std([each.row_excess for each in again])
     one = np.sqrt(2 / (N * (again[0].frames - 1)))

@@ -255,11 +255,11 @@ def test_peaks_of_the_response_are_named_where_they_are(fitted, sweep_a):
 @pytest.mark.parametrize("largest_nm", [30.0, 300.0, 2500.0, 30e3])
 def test_names_of_fringes_and_legend_can_be_read(fitted, largest_nm):
     sweep = fitted.sweeps[0]
-    response, joint = sweep.response, sweep.joint
+    response = sweep.response
     factor = largest_nm / float(np.nanmax(response.peak.nm))
     peak = replace(response.peak, nm=factor * response.peak.nm)
     louder = replace(response, peak=peak, amplitude_nm=factor * response.amplitude_nm)
-    figure = response_plot(replace(sweep, response=louder, joint=joint), (4308.6,))
+    figure = response_plot(replace(sweep, response=louder), (4308.6,))
     figure.draw_without_rendering()
     (axes,) = figure.axes
     shown = [t for t in axes.texts if "bright fringe" in t.get_text()]

@@ -348,7 +348,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     drive = modal.drive / phasors.volts
     at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
     noise = np.array([step.noise_level for step in steps])
-    seen = phasors.noise_variance * np.abs(found.object_field) ** 2
+    moved = np.abs(found.amplitude_rad @ fitted.basis.functions.T)
     template, variance = _templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
@@ -380,8 +380,8 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         log_drive_covariance=modal.log_drive_covariance,
         amplitude_rad=np.sqrt(np.mean(np.abs(u) ** 2, axis=1)),
         deepest_rad=np.abs(u).max(axis=1),
-        brightness=found.gain + 0.5 * np.log(noise * np.mean(seen, axis=-1)),
-        signal=_signal(fitted, noise),
+        brightness=_log_light(fitted, noise, np.ones_like(moved)),
+        signal=_log_light(fitted, noise, moved),
         noise_dn2=noise,
         fringe_dn2=noise * np.maximum(fringes, 0.0),
         misfit=found.misfit,
@@ -393,15 +393,14 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     )
 
 
-def _signal(fitted: JointFit, noise: Array) -> Array:
-    """Return the log rms (k,) of light times vibration.
+def _log_light(fitted: JointFit, noise: Array, moved: Array) -> Array:
+    """Return the log rms (k,) of light times vibration (k, n), or times 1.
 
     Block by block: light and vibration may be taken for each other smoothly over the reed.
     """
     found, unit = fitted.displacements, fitted.block_amplitudes.noise_variance
-    moved = np.abs(found.object_field) * np.abs(found.amplitude_rad @ fitted.basis.functions.T)
-    power = np.maximum(np.mean(unit * moved**2, axis=1), 1e-12)
-    return np.asarray(found.gain + 0.5 * np.log(noise * power))
+    power = np.mean(unit * (np.abs(found.object_field) * moved) ** 2, axis=1)
+    return np.asarray(found.gain + 0.5 * np.log(noise * np.maximum(power, 1e-12)))
 
 
 def _kept(fitted: JointFit) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import j1
 
 from diagnosis.readings import sweeps as sweep_readings
-from diagnosis.readings.sweeps import TEMPLATES, _signal, _templates
+from diagnosis.readings.sweeps import TEMPLATES, _log_light, _templates
 from fitting.errors import FitError
 
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
@@ -147,21 +147,21 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
     assert _templates(fitted)[1] == pytest.approx(2 * variance)
 
 
-def test_light_is_that_of_all_pixels_whatever_noise_blocks_have():
+@pytest.mark.parametrize("still", [True, False])
+def test_light_is_that_of_all_pixels_whatever_noise_blocks_have(still):
     rng = np.random.default_rng(2)
-    functions, noise = rng.standard_normal((40, 3)), rng.uniform(0.7, 2.5, 40)
-    light, a = rng.uniform(5, 50, 40), rng.standard_normal((6, 3))
+    noise, light = rng.uniform(0.7, 2.5, 40), rng.uniform(5, 50, (6, 40))
+    moved = np.ones((6, 40)) if still else np.abs(rng.standard_normal((6, 40)))
 
     def fit(block_noise):
         return SimpleNamespace(
             displacements=SimpleNamespace(
-                object_field=light / np.sqrt(block_noise), amplitude_rad=a, gain=np.zeros(6)
+                object_field=light / np.sqrt(block_noise), gain=np.zeros(6)
             ),
             block_amplitudes=SimpleNamespace(noise_variance=block_noise),
-            basis=SimpleNamespace(functions=functions),
         )
 
     level = np.full(6, 4.0)
-    expected = 0.5 * np.log(4.0 * np.mean((light * np.abs(a @ functions.T)) ** 2, axis=1))
-    assert _signal(fit(np.ones(40)), level) == pytest.approx(expected)
-    assert _signal(fit(noise), level) == pytest.approx(expected)
+    expected = 0.5 * np.log(4.0 * np.mean((light * moved) ** 2, axis=1))
+    assert _log_light(fit(np.ones(40)), level, moved) == pytest.approx(expected)
+    assert _log_light(fit(noise), level, moved) == pytest.approx(expected)

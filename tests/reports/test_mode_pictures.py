@@ -3,6 +3,7 @@
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from physics.reed.geometry import ReedGeometry
 from physics.reed.modes import ModeClass, NamedMode
 from protocols.reed import ReedFile
 from reports.errors import OutputRefusedError
+from reports.figures import joint_drawing
 from reports.figures.drawing import png_of
 from reports.figures.mode_pictures import (
     PER_ROW,
@@ -231,3 +233,25 @@ def test_the_table_says_which_cane():
     following = modes_table(ReedFile.from_file("alto-saxophone"), []).note
     assert "of its own frequency: these at 1397 Hz" in following
     assert "E_L 11053" in following
+
+
+def test_brightness_of_blocks_is_that_of_their_pixels_whatever_noise_they_have(monkeypatch):
+    monkeypatch.setattr(joint_drawing, "squared_residual", lambda *_: np.zeros((1, 30)))
+    rng = np.random.default_rng(3)
+    noise, light = rng.uniform(0.7, 2.5, 30), rng.uniform(1, 9, 30)
+
+    def brightness(block_noise):
+        fit = SimpleNamespace(
+            names=("F1",),
+            block_amplitudes=SimpleNamespace(
+                drive_hz=np.array([2000.0]),
+                value=(light / np.sqrt(block_noise))[:, None],
+                noise_variance=block_noise,
+            ),
+            modal=SimpleNamespace(hz=np.array([2000.0]), shapes=np.ones((1, 1))),
+            basis=SimpleNamespace(functions=np.ones((30, 1))),
+        )
+        return joint_drawing._values(fit, "F1")[0]
+
+    assert np.ptp(brightness(noise)) > 0.5
+    assert brightness(noise) == pytest.approx(brightness(np.ones(30)))

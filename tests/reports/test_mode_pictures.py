@@ -23,6 +23,7 @@ from protocols.reed import ReedFile
 from reports.errors import OutputRefusedError
 from reports.figures import joint_drawing
 from reports.figures.drawing import png_of
+from reports.figures.joint_drawing import _values
 from reports.figures.mode_pictures import (
     PER_ROW,
     bark_side,
@@ -251,7 +252,7 @@ def test_brightness_of_blocks_is_that_of_their_pixels_whatever_noise_they_have(m
             modal=SimpleNamespace(hz=np.array([2000.0]), shapes=np.ones((1, 1))),
             basis=SimpleNamespace(functions=np.ones((30, 1))),
         )
-        return joint_drawing._values(fit, "F1")[0]
+        return _values(fit, "F1")[0]
 
     assert np.ptp(brightness(noise)) > 0.5
     assert brightness(noise) == pytest.approx(brightness(np.ones(30)))

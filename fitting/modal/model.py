@@ -247,12 +247,12 @@ def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> Arra
 
 
 def moving_others(model: Model, state: State, terms: Terms) -> ComplexArray:
-    """Return the displacement (k, a, j) of each active mode, with what it moves out of phase."""
+    """Return the displacement (k, m, j) of each mode, with what it moves out of phase."""
     *losses, sound = state.out_of_phase
-    by_sound = terms.resonance[:, :, None] * model.sound[:, :, model.active]
-    by_loss = np.tensordot(losses, model.loss_mixing[:, model.active], axes=1) @ terms.shapes
+    by_sound = terms.resonance[:, :, None] * model.sound
+    by_loss = np.tensordot(losses, model.loss_mixing, axes=1) @ terms.shapes
     others = by_loss - sound * by_sound.swapaxes(1, 2) @ terms.shapes
-    found: ComplexArray = terms.shapes[model.active] + 1j * others
+    found: ComplexArray = terms.shapes + 1j * others
     return found
 
 

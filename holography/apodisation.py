@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.fft
 import scipy.optimize
+from scipy.linalg import toeplitz
 
 from holography.arrays import Array, Complex64Array
 from holography.fresnel import FresnelTransform
@@ -63,16 +64,6 @@ class Taper:
         scaled: Array = window / np.sqrt(np.mean(window**2))
         return scaled
 
-    @property
-    def spread(self) -> float:
-        """Standard deviation, in pixels, of where the light of a pixel comes from.
-
-        ``σ² = ∫W'² / (4π² ∫W²)``; without a window it has none, and 0 is returned.
-        """
-        if not self.fraction:
-            return 0.0
-        return float(np.sqrt(1 / (8 * self.fraction * (1 - 0.625 * self.fraction))))
-
     def light_from_beyond(self, pixels: int) -> float:
         """Return the fraction of a pixel's light that comes from farther away than some pixels."""
         place = np.arange(_SAMPLES) / _SAMPLES - 0.5
@@ -81,9 +72,41 @@ class Taper:
         image = np.cos(phase) @ self.window(_SAMPLES) / _SAMPLES
         return float(1 - 2 * np.trapezoid(image**2, distance))
 
-    def spread_of_sum(self, pixels: int) -> float:
-        """Return the standard deviation of where light of some pixels comes from, in their sum."""
-        return float(np.sqrt((pixels**2 - 1) / 12 + self.spread**2)) / pixels
+    def light_moments(self, pixels: int) -> tuple[Array, Array]:
+        """Return what tells where the light of a sum of pixels comes from, along an axis.
+
+        Scatterers with random phases that show an image r at some pixels are likeliest ``PᴴC⁻¹r``,
+        with the images P of points and their products C, the correlation of noise. The sum ``Σ r̄
+        H`` of other images of them weights a scatterer by ``r̄ᵀ P(x) P(x)ᴴ C⁻¹ r``.
+
+        Returns
+        -------
+        first, second : (pixels, pixels) float
+            Matrices of which ``Re r̄ᵀ M r``, over that of the unit matrix, is the mean position,
+            and mean squared position, in pixels from the middle.
+        """
+        place = np.arange(pixels) - 0.5 * (pixels - 1)
+        among = toeplitz(self.noise_correlation(pixels))
+        inverse = np.linalg.inv(among)
+        turned = [0.5 * (np.diag(x) + among @ np.diag(x) @ inverse) for x in (place, place**2)]
+        return turned[0], turned[1] + toeplitz(self._bend(pixels)) @ inverse
+
+    def _bend(self, pixels: int) -> Array:
+        """Return ``∫W'² cos(2πdν) / (4π² ∫W²)`` (pixels,) at distances d.
+
+        At 0 it is the variance of the image of a point; without a window this has none, and 0 is
+        returned. The product of the images of two points at p and q, of correlation ρ, has a mean
+        squared position of ``½(p² + q²) ρ`` and this.
+        """
+        if not self.fraction:
+            return np.zeros(pixels)
+        place = np.arange(_SAMPLES) / _SAMPLES
+        edge = np.minimum(place, 1 - place)
+        rising = edge < 0.5 * self.fraction
+        slope = np.where(rising, np.sin(2 * np.pi * edge / self.fraction) / self.fraction, 0.0)
+        plain = np.where(rising, 0.5 - 0.5 * np.cos(2 * np.pi * edge / self.fraction), 1.0)
+        spectrum = scipy.fft.fft(slope**2).real / np.sum(plain**2)
+        return np.asarray(0.25 * spectrum[:pixels])
 
     def noise_correlation(self, pixels: int) -> Array:
         """Return the correlation (pixels,) float of white noise at pixels this far apart."""

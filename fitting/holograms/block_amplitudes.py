@@ -96,8 +96,9 @@ class BlockAmplitudes:
         Coordinates of the blocks on the reed.
     size_m : tuple of float
         Sides of a block along x and y.
-    spread : tuple of float
-        Standard deviation, along x and y, of where the light of a block comes from, in its sides.
+    spread : (2, n) float
+        Standard deviation, along x and y, of where the light of each block comes from, in its
+        sides.
     independent_fraction : float
         Number of independent block amplitudes over that of all: neighbours share noise.
     noise_variance : (n,) float
@@ -120,7 +121,7 @@ class BlockAmplitudes:
     x_m: Array
     y_m: Array
     size_m: tuple[float, float]
-    spread: tuple[float, float]
+    spread: Array
     independent_fraction: float
     noise_variance: Array
     step_index: NDArray[np.intp]
@@ -162,13 +163,13 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     unit = np.sqrt(noise).astype(np.float32)[:, None]
     value /= unit
     down, across = blocks.tapers
-    light = np.abs(right) ** 2
+    middle_m, spread = blocks.light(right)
     return BlockAmplitudes(
         value=np.ascontiguousarray(value[:, : len(steps)]),
-        x_m=np.sum(light * blocks.x_m, axis=1),
-        y_m=np.sum(light * blocks.y_m, axis=1),
+        x_m=middle_m[0],
+        y_m=middle_m[1],
         size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
-        spread=(across.spread_of_sum(blocks.wide), down.spread_of_sum(blocks.high)),
+        spread=spread,
         independent_fraction=across.independent_fraction(blocks.wide)
         * down.independent_fraction(blocks.high),
         noise_variance=noise,
@@ -268,6 +269,34 @@ class _Blocks:
         )
         shared = np.einsum("np,pq,nq->n", weights, np.kron(down, across), weights.conj())
         return np.asarray(shared.real)
+
+    def light(self, weights: Complex64Array) -> tuple[Array, Array]:
+        """Return where the light of sums with weights (n, p) comes from.
+
+        Returns
+        -------
+        middle_m : (2, n) float
+            Mean x and y.
+        spread : (2, n) float
+            Standard deviation along x and y, in sides of a block.
+        """
+        shape = -1, self.high, self.wide
+        image, x_m, y_m = (each.reshape(shape) for each in (weights, self.x_m, self.y_m))
+        down, across = self.tapers
+        middle_m, spread = [], []
+        for taper, at_m, values in (
+            (across, x_m, image),
+            (down, y_m.swapaxes(1, 2), image.swapaxes(1, 2)),
+        ):
+            pixels = values.shape[2]
+            mean, square = (
+                np.einsum("nip,pq,niq->n", values.conj(), each, values, optimize=True).real
+                for each in taper.light_moments(pixels)
+            )
+            pixel_m = (at_m[:, 0, -1] - at_m[:, 0, 0]) / (pixels - 1)
+            middle_m.append(at_m.mean(axis=(1, 2)) + pixel_m * mean)
+            spread.append(np.sqrt(np.maximum(square - mean**2, 0.0)) / pixels)
+        return np.stack(middle_m), np.stack(spread)
 
     def of(self, field: Complex64Array) -> Complex64Array:
         """Return the pixels (n, p) of a field, sorted into blocks."""

@@ -29,7 +29,7 @@ def spread_slopes(
     x_m: Array,
     y_m: Array,
     size_m: tuple[float, float],
-    spread: tuple[float, float],
+    spread: Array,
     functions: Array,
 ) -> Array:
     """Return the slopes (2, n, j) of functions (n, j), times the spread of the light in a block.
@@ -40,8 +40,8 @@ def spread_slopes(
         Coordinates of the blocks.
     size_m : tuple of float
         Sides of a block along x and y.
-    spread : tuple of float
-        Standard deviation of where its light comes from, in these sides.
+    spread : (2, n) float
+        Standard deviation of where the light of each block comes from, in these sides.
     functions : (n, j) float
     """
     points = np.stack([x_m, y_m], axis=1)
@@ -51,7 +51,7 @@ def spread_slopes(
     apart = (points[near] - points[:, None]) / np.array(size_m)
     planes = np.linalg.pinv(np.concatenate([np.ones((*apart.shape[:2], 1)), apart], axis=2))
     slopes = np.einsum("nip,npj->inj", planes[:, 1:], functions[near], optimize=True)
-    scaled: Array = (slopes * np.reshape(spread, (2, 1, 1))).astype(functions.dtype)
+    scaled: Array = (slopes * spread[..., None]).astype(functions.dtype)
     return scaled
 
 

@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 import yaml
+from scipy.linalg import toeplitz
 from scipy.special import j0, j1, jv
 
 import acquire
@@ -215,10 +216,10 @@ def test_places_lie_inside_the_visible_reed_and_inside_their_blocks(block_amplit
         (x_m, block_amplitudes.x_m, wide),
     ):
         whole = axis[: len(axis) // size * size].reshape(-1, size)
-        # Some block has a place between its outermost pixels.
+        # Some block has a place between its edges, half a pixel outside its outermost pixels.
         low, up = np.sort(whole[:, [0, -1]], axis=1).T
-        slack = 1e-9
-        inside = (places[:, None] >= low - slack) & (places[:, None] <= up + slack)
+        half = 0.5 * abs(axis[1] - axis[0])
+        inside = (places[:, None] > low - half) & (places[:, None] < up + half)
         assert (inside.sum(axis=1) == 1).all()
     assert (np.abs(block_amplitudes.y_m) < half_width_m(Outline(), block_amplitudes.x_m)).all()
     assert block_amplitudes.x_m.min() > EDGE_M
@@ -313,15 +314,25 @@ def test_under_a_window_noise_is_one_and_light_that_of_independent_pixels(plain)
     assert found.independent_fraction * np.mean(factor**2) == pytest.approx(900 * pixels, rel=0.05)
 
 
-def test_light_spreads_along_each_axis_as_far_as_its_window_lets_it(plain):
-    path, _ = plain
+def test_light_spreads_along_each_axis_as_its_pixels_say(plain):
+    """Together, all blocks spread as far as pixels and their window do."""
+    path, phasor = plain
     found = read(path)
+    _, factor = apart(found.value, np.broadcast_to(phasor, found.value.shape))
+    power = found.noise_variance * factor**2
+    with Run.open(path) as run:
+        blocks = _blocks(run)
+    middle_m = np.stack([blocks.x_m.mean(axis=1), blocks.y_m.mean(axis=1)])
+    off = (np.stack([found.x_m, found.y_m]) - middle_m) / np.reshape(found.size_m, (2, 1))
     # Three pixels along x, two along y.
-    assert found.size_m[0] > found.size_m[1]
-    assert found.spread == (
-        pytest.approx(TAPERS[1].spread_of_sum(3), rel=1e-3),
-        pytest.approx(TAPERS[0].spread_of_sum(2), rel=1e-3),
-    )
+    for axis, (taper, pixels) in enumerate(((TAPERS[1], 3), (TAPERS[0], 2))):
+        _, square = taper.light_moments(pixels)
+        whole = np.average(off[axis] ** 2 + found.spread[axis] ** 2, weights=power)
+        correlation = toeplitz(taper.noise_correlation(pixels))
+        assert whole == pytest.approx(np.trace(square @ correlation) / pixels**3, rel=0.02)
+        assert np.average(off[axis], weights=power) == pytest.approx(0, abs=0.01)
+        # Of blocks whose light is in one of their pixels it spreads less.
+        assert found.spread[axis].min() < 0.7 * found.spread[axis].max()
 
 
 def test_unshifted_light_passes_the_same_window(plain):

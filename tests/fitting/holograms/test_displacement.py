@@ -113,7 +113,7 @@ def planted(
         x,
         y,
         (1e-9, 1e-9),
-        (0.3, 0.3),
+        np.full((2, points), 0.3),
         1.0,
         np.ones(points),
         steps,

@@ -28,7 +28,7 @@ from tests.numbers import complex_normal
 
 HOLOGRAMS, SIDE = 30, 0.04
 # Standard deviation of light that fills a block evenly, in its sides.
-EVEN = (12**-0.5, 12**-0.5)
+EVEN = np.full((2, 25 * 25), 12**-0.5)
 
 
 def moved(u):
@@ -185,7 +185,7 @@ def test_without_slopes_nothing_is_taken_off(problem, amplitude):
 def test_light_may_spread_farther_along_one_axis(plate):
     x, y, functions, _ = plate
     even = spread_slopes(x, y, (SIDE, SIDE), EVEN, functions)
-    along = spread_slopes(x, y, (SIDE, SIDE), (3 * EVEN[0], 2 * EVEN[1]), functions)
+    along = spread_slopes(x, y, (SIDE, SIDE), np.array([[3.0], [2.0]]) * EVEN, functions)
     assert along[0] == pytest.approx(3 * even[0])
     assert along[1] == pytest.approx(2 * even[1])
     assert np.abs(even[1]).max() > 0.01

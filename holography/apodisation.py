@@ -73,17 +73,22 @@ class Taper:
         return float(1 - 2 * np.trapezoid(image**2, distance))
 
     def light_moments(self, pixels: int) -> tuple[Array, Array]:
-        """Return what tells where the light of a sum of pixels comes from, along an axis.
+        """Return the moments of where the light of some pixels comes from, as quadratic forms.
 
         Scatterers with random phases that show an image r at some pixels are likeliest ``PᴴC⁻¹r``,
         with the images P of points and their products C, the correlation of noise. The sum ``Σ r̄
-        H`` of other images of them weights a scatterer by ``r̄ᵀ P(x) P(x)ᴴ C⁻¹ r``.
+        H`` of other images H of the same scatterers weights each by ``r̄ᵀ P(x) P(x)ᴴ C⁻¹ r``.
+
+        Parameters
+        ----------
+        pixels : int
+            Neighbours along an axis.
 
         Returns
         -------
         first, second : (pixels, pixels) float
-            Matrices of which ``Re r̄ᵀ M r``, over that of the unit matrix, is the mean position,
-            and mean squared position, in pixels from the middle.
+            Matrices M for which ``Re r̄ᵀ M r / r̄ᵀ r`` is the mean position, and the mean squared
+            position, in pixels from the middle.
         """
         place = np.arange(pixels) - 0.5 * (pixels - 1)
         among = toeplitz(self.noise_correlation(pixels))
@@ -103,10 +108,10 @@ class Taper:
         place = np.arange(_SAMPLES) / _SAMPLES
         edge = np.minimum(place, 1 - place)
         rising = edge < 0.5 * self.fraction
-        slope = np.where(rising, np.sin(2 * np.pi * edge / self.fraction) / self.fraction, 0.0)
-        plain = np.where(rising, 0.5 - 0.5 * np.cos(2 * np.pi * edge / self.fraction), 1.0)
-        spectrum = scipy.fft.fft(slope**2).real / np.sum(plain**2)
-        return np.asarray(0.25 * spectrum[:pixels])
+        # Of a window that is 1 in the middle: W'² = 4π² slope², and ∫W² = 1 − 5/8 of the fraction.
+        slope = np.where(rising, 0.5 * np.sin(2 * np.pi * edge / self.fraction) / self.fraction, 0)
+        spectrum = scipy.fft.fft(slope**2).real / _SAMPLES
+        return np.asarray(spectrum[:pixels] / (1 - 0.625 * self.fraction))
 
     def noise_correlation(self, pixels: int) -> Array:
         """Return the correlation (pixels,) float of white noise at pixels this far apart."""

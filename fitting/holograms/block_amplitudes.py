@@ -163,11 +163,11 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     unit = np.sqrt(noise).astype(np.float32)[:, None]
     value /= unit
     down, across = blocks.tapers
-    middle_m, spread = blocks.light(right)
+    (x_m, y_m), spread = blocks.light(right)
     return BlockAmplitudes(
         value=np.ascontiguousarray(value[:, : len(steps)]),
-        x_m=middle_m[0],
-        y_m=middle_m[1],
+        x_m=x_m,
+        y_m=y_m,
         size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
         spread=spread,
         independent_fraction=across.independent_fraction(blocks.wide)
@@ -295,6 +295,7 @@ class _Blocks:
             )
             pixel_m = (at_m[:, 0, -1] - at_m[:, 0, 0]) / (pixels - 1)
             middle_m.append(at_m.mean(axis=(1, 2)) + pixel_m * mean)
+            # The weights of the likeliest scatterers may be negative.
             spread.append(np.sqrt(np.maximum(square - mean**2, 0.0)) / pixels)
         return np.stack(middle_m), np.stack(spread)
 

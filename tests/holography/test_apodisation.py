@@ -81,11 +81,11 @@ def test_light_of_a_sum_comes_from_where_its_pixels_say(pixels):
     sums = np.array([np.sum(shown.conj() * ((light * place**n) @ image), axis=1) for n in range(3)])
     power = sums[0].real
     for matrix, found in zip(taper.light_moments(pixels), sums[1:].real, strict=True):
-        told = np.einsum("np,pq,nq->n", shown.conj(), matrix, shown).real
+        expected = np.einsum("np,pq,nq->n", shown.conj(), matrix, shown).real
         # It is known on average, and for each sum better than without what its pixels show.
-        assert np.sum(found - told) == pytest.approx(0, abs=0.02 * np.sum(power))
+        assert np.sum(found - expected) == pytest.approx(0, abs=0.02 * np.sum(power))
         usual = np.trace(matrix @ toeplitz(taper.noise_correlation(pixels))) / pixels * power
-        assert np.sum((found - told) ** 2) < 0.9 * np.sum((found - usual) ** 2)
+        assert np.sum((found - expected) ** 2) < 0.9 * np.sum((found - usual) ** 2)
 
 
 @pytest.mark.parametrize("pixels", [1, 2, 5])

@@ -325,8 +325,11 @@ def test_light_spreads_along_each_axis_as_its_pixels_say(plain):
     middle_m = np.stack([blocks.x_m.mean(axis=1), blocks.y_m.mean(axis=1)])
     off = (np.stack([found.x_m, found.y_m]) - middle_m) / np.reshape(found.size_m, (2, 1))
     # Three pixels along x, two along y.
+    assert found.size_m[0] > found.size_m[1]
     for axis, (taper, pixels) in enumerate(((TAPERS[1], 3), (TAPERS[0], 2))):
-        _, square = taper.light_moments(pixels)
+        mean, square = taper.light_moments(pixels)
+        farthest = np.linalg.eigvalsh(0.5 * (mean + mean.T)).max() / pixels
+        assert 0.8 * farthest < np.abs(off[axis]).max() < farthest
         whole = np.average(off[axis] ** 2 + found.spread[axis] ** 2, weights=power)
         correlation = toeplitz(taper.noise_correlation(pixels))
         assert whole == pytest.approx(np.trace(square @ correlation) / pixels**3, rel=0.02)

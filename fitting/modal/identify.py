@@ -27,6 +27,7 @@ from fitting.holograms.displacement import fit_displacements, refit_displacement
 from fitting.holograms.right_fringes.trials import same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
+from fitting.holograms.unknown_positions import covariance_by_positions
 from fitting.modal.fit import fit_modes
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import LOSS
@@ -197,7 +198,10 @@ def finished(sweep: MeasuredSweep) -> MeasuredSweep:
     modal, blocks = sweep.modal, sweep.block_amplitudes
     start_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))
     modal = fit_modes(sweep.displacements, sweep.basis, blocks.drive_hz, blocks.volts, start_hz)
-    return replace(sweep, modal=modal)
+    # Positions of light within blocks add errors that holograms do not show (decision 0079).
+    at = blocks, sweep.basis, sweep.displacements
+    more = covariance_by_positions(*at, modal.influence)
+    return replace(sweep, modal=modal.with_errors(more))
 
 
 def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> MeasuredSweep:

@@ -1,6 +1,7 @@
 """The result of the joint fit of modes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ class ModalFit:
         Standard errors; that of the loss factor is relative.
     covariance : (2a, 2a) float
         Covariance of log frequencies, then of log loss factors.
+    influence : (2a, k, 2j) float
+        How these follow the amplitudes of holograms (real, then imaginary parts).
     shapes : (a, j) float
         Coordinates of the shapes in the `ShapeBasis`.
     mixing, mixing_error, mixing_spread : (m, a) float
@@ -80,6 +83,7 @@ class ModalFit:
     loss_factor: Array
     loss_error: Array
     covariance: Array
+    influence: Array
     shapes: Array
     mixing: Array
     mixing_error: Array
@@ -100,6 +104,13 @@ class ModalFit:
     drive_forms: tuple[DriveForm, ...]
     off: NDArray[np.bool_]
     state: State
+
+    def with_errors(self, more: Array) -> Self:
+        """Return the same modes with further errors of the logs, of covariance (2a, 2a)."""
+        covariance = self.covariance + more
+        of_hz, of_loss = np.split(np.sqrt(np.diag(covariance)), 2)
+        cents = of_hz * 1200 / np.log(2)
+        return replace(self, covariance=covariance, error_cents=cents, loss_error=of_loss)
 
     def loss_over_others(self, mode: int) -> float:
         """Return the loss factor of a mode over that of the others, 1 if it is the only one.

@@ -18,6 +18,7 @@ from fitting.holograms.displacement import refit_displacements
 from fitting.holograms.object_field import CommonModeError, field_factor, smooth_functions
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
+from fitting.holograms.unknown_positions import covariance_by_positions
 from fitting.modal.fit import fit_modes_with_known_drive
 from fitting.modal.identify import (
     JointFit,
@@ -76,8 +77,9 @@ def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None =
         # What this sweep says of the forms of the drive must not count again when the other is
         # fitted from this one.
         modal = replace(modal, drive_forms=known.drive_forms)
-        sweep = MeasuredSweep(block_amplitudes, before.basis, displacements, modal, start_hz)
-        return joint_fit_of(sweep, before.naming)
+        same = block_amplitudes, before.basis, displacements
+        modal = modal.with_errors(covariance_by_positions(*same, modal.influence))
+        return joint_fit_of(MeasuredSweep(*same, modal, start_hz), before.naming)
 
 
 def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -> JointFit:

@@ -32,7 +32,7 @@ from fitting.modal.normal_equations import Equations, Evaluation, equations, eva
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
 from fitting.modal.out_of_phase import with_out_of_phase
 from fitting.modal.posterior import Posterior
-from holography.arrays import Array
+from holography.arrays import Array, IndexArray
 
 # Stage of the last rounds.
 LAST = Stage(0.015, 0.7, 0.02, 1.0, 12)
@@ -42,6 +42,8 @@ FIRST_CORRELATED = 4.0
 # Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
 # by more than this fraction of its standard error.
 _MOST_RIPPLES, _SETTLED = 8, 0.2
+# Step of a derivative in standard errors: small enough to be linear, and far above rounding.
+_STEP = 1e-3
 # The normal distribution function of z is the logistic function of this times z, within 0.01
 # (G. Camilli 1994, Journal of Educational and Behavioral Statistics 19:293).
 _PROBIT = 1.702
@@ -93,6 +95,8 @@ class Round:
     prior : Prior
     state : State
     here : Equations
+    data : Data
+        What the cost was that of.
     covariance : (q, q) float
         Covariance of all parameters except the drive.
     log_evidence : float
@@ -117,6 +121,7 @@ class Round:
     prior: Prior
     state: State
     here: Equations
+    data: Data
     covariance: Array
     log_evidence: float
     log_likelihood: Array
@@ -159,6 +164,7 @@ def one_round(
         prior=prior,
         state=state,
         here=here,
+        data=weighed,
         covariance=covariance,
         log_evidence=_log_evidence(
             at,
@@ -240,10 +246,8 @@ class Optimum:
         """Collect an optimum from the last round, and the ripple that it had."""
         # χ² of a round is not exactly as expected, and neighbouring residuals are correlated.
         factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
-        count, powers, free = len(model.active), model.powers.shape[1], end.prior.free
-        number = np.full(free.shape, -1)
-        number[free] = np.arange(np.count_nonzero(free))
-        own = number[:count, 2 * powers : 2 * powers + 2].T.ravel()
+        count, powers = len(model.active), model.powers.shape[1]
+        own = logs_among_free(model, end.prior)
         covariance = factor * end.covariance[np.ix_(own, own)]
         log_evidence = end.log_evidence + model.line_weight
         posterior = Posterior.of(end.here, end.covariance, 1.0)
@@ -255,6 +259,50 @@ class Optimum:
             log_evidence += found.log_weight
         logs = end.state.x[:count, 2 * powers : 2 * powers + 2].T.ravel()
         return cls(model, end, log_evidence, logs, covariance, magnitude_covariance, factor)
+
+
+def logs_among_free(model: Model, prior: Prior) -> IndexArray:
+    """Return where log frequencies and log loss factors (2a,) are among the free parameters."""
+    powers, number = model.powers.shape[1], np.full(prior.free.shape, -1)
+    number[prior.free] = np.arange(np.count_nonzero(prior.free))
+    return number[: len(model.active), 2 * powers : 2 * powers + 2].T.ravel()
+
+
+def influence(model: Model, end: Round, which: IndexArray) -> Array:
+    """Return how free parameters follow the amplitudes of holograms: (r, k, 2j).
+
+    To first order, a change of amplitudes (real, then imaginary parts) changes each of them by the
+    sum of their products.
+
+    Parameters
+    ----------
+    model : Model
+    end : Round
+    which : (r,) int
+        Which of the free parameters.
+    """
+    posterior, state, free = Posterior.of(end.here, end.covariance, 1.0), end.state, end.prior.free
+    error = np.sqrt(np.diag(posterior.covariance)[which])
+    along = posterior.covariance[:, which] / error
+    own, shared = np.split(along, [np.count_nonzero(free)])
+    magnitude, phase = np.split(-posterior.response.T @ along, 2)
+
+    def residual(r: int, step: float) -> Array:
+        x = state.x.copy()
+        x[free] += step * own[:, r]
+        moved = replace(
+            state,
+            x=x,
+            log_drive=state.log_drive + step * (magnitude[:, r] + 1j * phase[:, r]),
+            shared=state.shared + step * shared[:, r],
+        )
+        return end.data.whitened_residual(terms(model, moved).amplitude(moved), moved.shared)
+
+    slopes = np.stack([residual(r, -_STEP) - residual(r, _STEP) for r in range(len(which))])
+    # The covariance is the inverse of half the Gauss-Newton Hessian.
+    scaled = slopes * (error / (2 * _STEP))[:, None, None]
+    found: Array = (scaled[:, :, None] @ end.data.root)[:, :, 0]
+    return found
 
 
 def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> Optimum:

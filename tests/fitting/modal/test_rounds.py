@@ -20,17 +20,22 @@ from fitting.modal.model import (
     terms,
 )
 from fitting.modal.noise import noise_of
+from fitting.modal.normal_equations import evaluate, negative_gradient
 from fitting.modal.out_of_phase import expected_shared, shared_drift
+from fitting.modal.posterior import Posterior
 from fitting.modal.rounds import (
     LAST,
     Given,
     Optimum,
     Scatter,
+    influence,
+    logs_among_free,
     one_round,
     probabilities,
     shared_at,
 )
 from tests.fitting.modal.test_fit import DRIVE_HZ, FUNCTIONS, planted
+from tests.numbers import complex_normal
 
 # Discrepancies below the noise, so that noise alone is the scatter.
 NOISE_ALONE = Scatter(1e-4, FIRST_WALK)
@@ -157,6 +162,26 @@ def test_displacements_respond_as_a_state_would_in_the_light_in_which_they_were_
     found = shared_at(model, there, replace(state, shared=shared), FIRST_WALK).response[:, :, 0]
     expected = -np.concatenate([true.real, true.imag], axis=1)
     assert found == pytest.approx(expected, rel=2 * brighter**2)
+
+
+def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
+    model, given, state = begun(sweep)
+    for scatter in (Scatter(0.1, FIRST_WALK), NOISE_ALONE):
+        end = one_round(model, given, state, scatter, 40)
+        state = end.state
+    own, data = logs_among_free(model, end.prior), end.data
+    change = 0.01 * complex_normal(np.random.default_rng(6), *data.amplitude.shape)
+    other = replace(data, amplitude=data.amplitude + change)
+    forces = [
+        negative_gradient(model, each, end.prior, evaluate(model, each, end.prior, end.state))
+        for each in (data, other)
+    ]
+    force, of_drive = np.split(forces[1] - forces[0], [len(end.covariance)])
+    posterior = Posterior.of(end.here, end.covariance, 1.0)
+    expected = end.covariance[own] @ (force - posterior.response @ of_drive)
+    along = np.concatenate([change.real, change.imag], axis=1)
+    found = np.sum(influence(model, end, own) * along, axis=(1, 2))
+    assert found == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
 
 
 # --- How sure a difference of two evidences is ---------------------------------------------------

@@ -297,3 +297,29 @@ def _filtered(
         after = precision + own
         shrunk = 1 / (1 + walk * after)
         precision, force = after * shrunk, (force + along) * shrunk
+
+
+def renewal_of(smooth: Array, walk: float, independent: float) -> Array:
+    """Return how speckle that is renewed changes the smooth factor of the object field.
+
+    Parameters
+    ----------
+    smooth : (n, c) float
+    walk : float
+        Mean square of what changes in each block from one hologram to the next, over that of its
+        field.
+    independent : float
+        Number of independent blocks over that of all.
+
+    Returns
+    -------
+    (2c - 1, 2c - 1) float
+        Covariance of the change of its coefficients (see `fitting.holograms.object_field`): blocks
+        are renewed independently, and the factor is fitted to them.
+    """
+    # Half of what changes is magnitude, half phase.
+    each = 0.5 * walk / independent * np.linalg.inv(smooth.T @ smooth)
+    # The constant of the phase is no parameter.
+    kept = np.delete(np.arange(2 * len(each)), len(each))
+    whole: Array = np.kron(np.eye(2), each)[np.ix_(kept, kept)]
+    return whole

@@ -50,12 +50,15 @@ class CommonModeError:
         What it adds to the negative gradient of half of χ² by the parameters, where they are 0.
     small : (q, j, j) complex, optional
         See `response_of_small`.
+    renewal : (q, q) float, optional
+        See `fitting.holograms.changing_field.renewal_of`.
     """
 
     response: Array
     precision: Array
     pull: Array
     small: ComplexArray | None = None
+    renewal: Array | None = None
 
     @property
     def whole(self) -> Array:
@@ -80,7 +83,11 @@ class CommonModeError:
             return whole
 
         return CommonModeError(
-            spread(self.response), spread(self.precision), spread(self.pull), self.small
+            spread(self.response),
+            spread(self.precision),
+            spread(self.pull),
+            self.small,
+            self.renewal,
         )
 
     def responding_at(self, expected: ComplexArray, measured: ComplexArray) -> "CommonModeError":

@@ -31,6 +31,7 @@ from fitting.holograms.changing_field import (
     FieldChange,
     field_estimate,
     found_change,
+    renewal_of,
     same_change,
 )
 from fitting.holograms.continuation import CONTINUATION_STRIDE
@@ -313,6 +314,7 @@ def displacements_of(
         common_mode=replace(
             step.common_mode.counting(whole.independent_fraction).among(holograms, solved),
             small=small,
+            renewal=renewal_of(step.linear.smooth, change.walk, whole.independent_fraction),
         ),
         recording_rank=whole.recording_rank,
         misfit=misfit,

@@ -161,6 +161,46 @@ def _flat(nodes: Array) -> Array:
     return nodes.reshape(*nodes.shape[:-2], nodes.shape[-2] * nodes.shape[-1])
 
 
+def covariance_by_other_changes(
+    drift: FieldDrift, ranks: IndexArray, renewal: Array, walk: float, following: Array
+) -> Array:
+    """Return the covariance (r, r) of numbers by changes of light that nodes do not follow.
+
+    Between two nodes, what drifts walks as it does from node to node. All else drifts as speckle is
+    renewed, around the mean that is fitted.
+
+    Parameters
+    ----------
+    drift : FieldDrift
+    ranks : (k,) int
+        Order of recording.
+    renewal : (q, q) float
+        See `fitting.holograms.object_field.renewal_of`.
+    walk : float
+        See `shared_error`.
+    following : (r, k, q) float
+        How the numbers follow the common-mode error of each hologram.
+    """
+    count, other = len(ranks), np.ones(renewal.shape[0], bool)
+    # Other parameters that holograms share come first.
+    which = drift.drifting - (drift.constant - len(other))
+    # Laser power, a uniform magnitude, is a gain of the hologram.
+    other[which] = other[:1] = False
+    walks = np.minimum.outer(ranks, ranks) + 1.0
+    among, around = (
+        np.eye(count) - columns @ np.linalg.pinv(columns)
+        for columns in (drift.share, np.ones((count, 1)))
+    )
+    between = (among @ walks @ among).reshape(count, count)
+    own, rest = following[:, :, which], following[:, :, other]
+    found = walk**2 * np.einsum("akq,kl,blq->ab", own, between, own, optimize=True)
+    steps = renewal[np.ix_(other, other)]
+    found += np.einsum(
+        "akq,kl,blr,qr->ab", rest, around @ walks @ around, rest, steps, optimize=True
+    )
+    return np.asarray(0.5 * (found + found.T))
+
+
 def found_walk(drift: FieldDrift, parameters: Array, covariance: Array, walk: float) -> float:
     """Find the step of the walk from fitted parameters (p,) and their covariance (p, p).
 

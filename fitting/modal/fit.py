@@ -44,7 +44,7 @@ from fitting.modal.drive_prior import (
     smooth_ripple,
     strong_ripple,
 )
-from fitting.modal.field_drift import FIRST_WALK, FieldDrift
+from fitting.modal.field_drift import FIRST_WALK, FieldDrift, covariance_by_other_changes
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import (
@@ -70,7 +70,9 @@ from fitting.modal.rounds import (
     FIRST_CORRELATED,
     LAST,
     Given,
+    Influence,
     Optimum,
+    Round,
     Scatter,
     fixed,
     influence,
@@ -394,7 +396,8 @@ def _finish(
     shared = posterior.shared(len(state.shared))
     # The first values are no error of the light.
     of_light = end.drift.covariance(shared)[:, OUT_OF_PHASE:, OUT_OF_PHASE:]
-    count = len(model.active)
+    count, follow = len(model.active), influence(model, end, logs_among_free(model, prior))
+    covariance = covariance + _by_other_changes(displacements, end, follow)
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))
     spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
@@ -408,7 +411,7 @@ def _finish(
         loss_factor=own_loss,
         loss_error=np.sqrt(np.diag(covariance)[count:]),
         covariance=covariance,
-        influence=influence(model, end, logs_among_free(model, prior)),
+        influence=follow.amplitudes,
         shapes=now.shapes[model.active],
         mixing=np.where(mixes, state.x[count:, :count], 0.0),
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
@@ -430,6 +433,15 @@ def _finish(
         off=_off(displacements, end.noise),
         state=state,
     )
+
+
+def _by_other_changes(displacements: Displacements, end: Round, follow: Influence) -> Array:
+    """Return the covariance (2a, 2a) of logs by changes of light that the fit does not follow."""
+    renewal, ranks = displacements.common_mode.renewal, displacements.recording_rank
+    if renewal is None:
+        return np.zeros((len(follow.light),) * 2)
+    walk = end.scatter.walk
+    return covariance_by_other_changes(end.drift, ranks, renewal, walk, follow.light)
 
 
 def _mixture(weights: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:

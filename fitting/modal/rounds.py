@@ -268,19 +268,24 @@ def logs_among_free(model: Model, prior: Prior) -> IndexArray:
     return number[: len(model.active), 2 * powers : 2 * powers + 2].T.ravel()
 
 
-def influence(model: Model, end: Round, which: IndexArray) -> Array:
-    """Return how free parameters follow the amplitudes of holograms: (r, k, 2j).
+@dataclass(frozen=True)
+class Influence:
+    """How r parameters follow what was measured, to first order.
 
-    To first order, a change of amplitudes (real, then imaginary parts) changes each of them by the
-    sum of their products.
-
-    Parameters
+    Attributes
     ----------
-    model : Model
-    end : Round
-    which : (r,) int
-        Which of the free parameters.
+    amplitudes : (r, k, 2j) float
+        ... the amplitudes of each hologram (real, then imaginary parts).
+    light : (r, k, q) float
+        ... the common-mode error of each hologram.
     """
+
+    amplitudes: Array
+    light: Array
+
+
+def influence(model: Model, end: Round, which: IndexArray) -> Influence:
+    """Return how the free parameters `which` (r,) follow what was measured."""
     posterior, state, free = Posterior.of(end.here, end.covariance, 1.0), end.state, end.prior.free
     error = np.sqrt(np.diag(posterior.covariance)[which])
     along = posterior.covariance[:, which] / error
@@ -300,9 +305,8 @@ def influence(model: Model, end: Round, which: IndexArray) -> Array:
 
     slopes = np.stack([residual(r, -_STEP) - residual(r, _STEP) for r in range(len(which))])
     # The covariance is the inverse of half the Gauss-Newton Hessian.
-    scaled = slopes * (error / (2 * _STEP))[:, None, None]
-    found: Array = (scaled[:, :, None] @ end.data.root)[:, :, 0]
-    return found
+    scaled = (slopes * (error / (2 * _STEP))[:, None, None])[:, :, None]
+    return Influence((scaled @ end.data.root)[:, :, 0], (scaled @ end.data.response)[:, :, 0])
 
 
 def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> Optimum:

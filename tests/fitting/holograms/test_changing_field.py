@@ -12,6 +12,7 @@ from fitting.holograms.changing_field import (
     FieldChange,
     field_estimate,
     found_change,
+    renewal_of,
     unlikelihood,
 )
 from fitting.holograms.problem import Problem
@@ -170,3 +171,20 @@ def test_a_hologram_that_is_not_explained_costs_what_light_of_any_size_costs():
     lost = unlikelihood(problem, wrong, zero, field, change, np.where(ninth, 1e4, 1.0))
     assert right < without - 100
     assert lost == pytest.approx(without, abs=0.01 * (without - right))
+
+
+@pytest.mark.parametrize("sharing", [1, 4])
+def test_renewed_speckle_changes_the_smooth_factor_as_it_changes_means_over_blocks(sharing):
+    """Blocks that share their noise four by four are a quarter as many."""
+    rng, walk, blocks = np.random.default_rng(12), 1e-4, 240
+    x, y = rng.uniform(-1, 1, (2, blocks))
+    smooth = np.stack([np.ones(blocks), x, y, x * y], axis=1)
+    smooth = np.repeat(smooth[: blocks // sharing], sharing, axis=0)
+    change = np.sqrt(walk) * complex_normal(rng, 4000, blocks // sharing)
+    change = np.repeat(change, sharing, axis=1)
+    onto = np.linalg.pinv(smooth)
+    coefficients = np.concatenate([change.real @ onto.T, (change.imag @ onto.T)[:, 1:]], axis=1)
+    found = renewal_of(smooth, walk, 1 / sharing)
+    size = np.sqrt(np.diag(found))
+    relative = np.cov(coefficients.T) / np.outer(size, size)
+    assert relative == pytest.approx(found / np.outer(size, size), abs=0.1)

@@ -1,5 +1,7 @@
 """Tests of an object field that drifts smoothly from hologram to hologram."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,12 @@ from fitting.holograms.object_field import (
     of_low_degree,
     smooth_functions,
 )
-from fitting.modal.field_drift import field_drift, found_walk, shared_error
+from fitting.modal.field_drift import (
+    covariance_by_other_changes,
+    field_drift,
+    found_walk,
+    shared_error,
+)
 
 HOLOGRAMS, AMPLITUDES, ERRORS = 61, 4, 131
 
@@ -118,3 +125,33 @@ def test_nothing_drifts_where_nothing_is_shared():
     assert drift.shift(np.zeros(0)).shape == (9, 0)
     assert shared_error(nothing, drift, 1e-3).precision.shape == (0, 0)
     assert found_walk(drift, np.zeros(0), np.zeros((0, 0)), 2e-3) == 2e-3
+
+
+@pytest.mark.parametrize("before", [0, 3])
+def test_changes_that_nodes_do_not_follow_are_errors_of_what_follows_light(common_mode, before):
+    rng, walk, draws, numbers = np.random.default_rng(10), 4e-3, 1500, 3
+    ranks = rng.permutation(HOLOGRAMS)
+    drift = field_drift(common_mode, ranks)
+    own = drift.drifting
+    others = np.setdiff1d(np.arange(1, ERRORS), own)
+    root = 1e-3 * rng.standard_normal((ERRORS, ERRORS))
+    following = rng.standard_normal((numbers, HOLOGRAMS, ERRORS))
+    # Each number follows some neighbours, as that of a mode does.
+    following *= np.exp(-0.5 * ((np.arange(HOLOGRAMS) - 30) / 4) ** 2)[:, None]
+    drawn = np.zeros((draws, numbers))
+    for draw in drawn:
+        steps = rng.standard_normal((HOLOGRAMS, ERRORS))
+        light = np.cumsum(steps @ root.T, axis=0)[ranks]
+        light[:, own] = np.cumsum(walk * steps[:, own], axis=0)[ranks]
+        nodes = np.linalg.lstsq(drift.share, light[:, own], rcond=None)[0]
+        light[:, own] -= drift.share @ nodes
+        light[:, others] -= light[:, others].mean(axis=0)
+        light[:, 0] = 0
+        draw[:] = np.sum(following * light, axis=(1, 2))
+    shared = replace(drift, constant=ERRORS + before, drifting=own + before)
+    found = covariance_by_other_changes(shared, ranks, root @ root.T, walk, following)
+    size = np.sqrt(np.diag(found))
+    # 1500 draws: a covariance has a standard error of 4 %.
+    assert np.cov(drawn.T) / np.outer(size, size) == pytest.approx(
+        found / np.outer(size, size), abs=0.15
+    )

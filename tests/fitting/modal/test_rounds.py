@@ -180,7 +180,7 @@ def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
     posterior = Posterior.of(end.here, end.covariance, 1.0)
     expected = end.covariance[own] @ (force - posterior.response @ of_drive)
     along = np.concatenate([change.real, change.imag], axis=1)
-    found = np.sum(influence(model, end, own) * along, axis=(1, 2))
+    found = np.sum(influence(model, end, own).amplitudes * along, axis=(1, 2))
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
 
 

@@ -65,3 +65,12 @@ def test_two_resonances_as_one_stand_out_among_others():
     hz, loss = [2e3, 3e3, 4.5e3, 6e3, 9e3], [0.025, 0.03, 0.026, 0.031, 0.064]
     assert modal_fit(hz, loss).loss_over_others(4) > 2
     assert modal_fit(hz, loss).loss_over_others(2) < 1.1
+
+
+def test_further_errors_add_to_the_variance_of_logs():
+    modal = ModalFit(**{**FIELDS, "covariance": np.diag([9.0, 16.0, 25.0, 36.0]) * 1e-8})
+    found = modal.with_errors(np.diag([16.0, 0.0, 144.0, 28.0]) * 1e-8)
+    cents = 1200 / np.log(2)
+    assert found.error_cents == pytest.approx([5e-4 * cents, 4e-4 * cents])
+    assert found.loss_error == pytest.approx([13e-4, 8e-4])
+    assert np.diag(found.covariance) == pytest.approx([25e-8, 16e-8, 169e-8, 64e-8])

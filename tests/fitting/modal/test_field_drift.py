@@ -155,3 +155,13 @@ def test_changes_that_nodes_do_not_follow_are_errors_of_what_follows_light(commo
     assert np.cov(drawn.T) / np.outer(size, size) == pytest.approx(
         found / np.outer(size, size), abs=0.15
     )
+
+
+def test_the_power_of_the_laser_is_no_change_of_light(drift):
+    """It is the uniform magnitude, the first parameter, and a gain of each hologram."""
+    following = np.zeros((1, HOLOGRAMS, ERRORS))
+    following[:, ::2, 0] = 1.0
+    ranks, renewal = np.arange(HOLOGRAMS), np.eye(ERRORS)
+    assert not covariance_by_other_changes(drift, ranks, renewal, 1e-3, following).any()
+    following[:, ::2, ERRORS - 1] = 1.0
+    assert covariance_by_other_changes(drift, ranks, renewal, 1e-3, following) > 0

@@ -320,6 +320,6 @@ def renewal_of(smooth: Array, walk: float, independent: float) -> Array:
     # Half of what changes is magnitude, half phase.
     each = 0.5 * walk / independent * np.linalg.inv(smooth.T @ smooth)
     # The constant of the phase is no parameter.
-    kept = np.delete(np.arange(2 * len(each)), len(each))
+    kept = np.flatnonzero(np.arange(2 * len(each)) != len(each))
     whole: Array = np.kron(np.eye(2), each)[np.ix_(kept, kept)]
     return whole

@@ -180,8 +180,28 @@ def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
     posterior = Posterior.of(end.here, end.covariance, 1.0)
     expected = end.covariance[own] @ (force - posterior.response @ of_drive)
     along = np.concatenate([change.real, change.imag], axis=1)
-    found = np.sum(influence(model, end, own).amplitudes * along, axis=(1, 2))
+    follow = influence(model, end, own)
+    found = np.sum(follow.amplitudes * along, axis=(1, 2))
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
+
+
+def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):
+    rng, count = np.random.default_rng(7), len(DRIVE_HZ)
+    response = 0.1 * rng.standard_normal((count, 2 * FUNCTIONS, 131))
+    error = CommonModeError(response, np.tile(np.eye(131), (count, 1, 1)), np.zeros((count, 131)))
+    lit = SimpleNamespace(
+        displacements=replace(sweep.displacements, common_mode=error),
+        basis=sweep.basis, volts=sweep.volts, start_hz=sweep.start_hz,
+    )  # fmt: skip
+    model, given, state = begun(lit)
+    end = one_round(model, given, state, NOISE_ALONE, 2)
+    follow = influence(model, end, logs_among_free(model, end.prior))
+    light = 0.01 * rng.standard_normal((count, 131))
+    moved = np.linalg.solve(end.data.root, end.data.response @ light[..., None])[..., 0]
+    by_amplitudes = np.sum(follow.amplitudes * moved, axis=(1, 2))
+    assert np.all(by_amplitudes != 0)
+    found = np.sum(follow.light * light, axis=(1, 2))
+    assert found == pytest.approx(by_amplitudes, rel=1e-6)
 
 
 # --- How sure a difference of two evidences is ---------------------------------------------------

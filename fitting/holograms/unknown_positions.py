@@ -1,4 +1,4 @@
-"""Errors by the positions of light within blocks, which holograms do not tell from displacements.
+"""Errors by the positions of light within blocks, which are confounded with displacements.
 
 Where in a block its light comes from is decided by speckle (`fitting.holograms.within_blocks`): a
 complex position, the same in all holograms of a sweep. Positions are found together with
@@ -32,7 +32,8 @@ _LOOSE_RAD = 100.0
 # Holograms count that together have this fraction of what all of them say of positions. Chosen:
 # errors become half a per cent larger.
 _NEARLY_ALL = 0.99
-# The variance of positions is found in this number of turns, from this start.
+# The variance of positions is found in this number of turns, from this start. Chosen: they decide
+# how near it comes to its fixed point.
 _TURNS, _START = 8, 0.1
 # Conjugate gradients end when no variance grows by more than this fraction; the most steps. Chosen:
 # a hundredth of a standard error.

@@ -175,7 +175,7 @@ def covariance_by_other_changes(
     ranks : (k,) int
         Order of recording.
     renewal : (q, q) float
-        See `fitting.holograms.object_field.renewal_of`.
+        See `fitting.holograms.changing_field.renewal_of`.
     walk : float
         See `shared_error`.
     following : (r, k, q) float
@@ -191,7 +191,7 @@ def covariance_by_other_changes(
         np.eye(count) - columns @ np.linalg.pinv(columns)
         for columns in (drift.share, np.ones((count, 1)))
     )
-    between = (among @ walks @ among).reshape(count, count)
+    between = among @ walks @ among
     own, rest = following[:, :, which], following[:, :, other]
     found = walk**2 * np.einsum("akq,kl,blq->ab", own, between, own, optimize=True)
     steps = renewal[np.ix_(other, other)]

@@ -1,0 +1,81 @@
+"""Commit to answers before the key of a set is opened.
+
+    python -m studies.sealed.commitments ANSWERS > studies/sealed/SET/answered.json
+
+ANSWERS is the folder of NAME.json, as `acquire diagnose --json` prints them. Commit the file that
+this prints; `committed_answers` gives the scores of a set its answers only if they are those.
+"""
+
+import argparse
+import hashlib
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+
+def hashes_of(answers: Path) -> dict[str, str]:
+    """Return the SHA-256 of each answer of a folder, by its case's name."""
+    return {path.stem: _sha256(path) for path in sorted(answers.glob("*.json"))}
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def committed(path: Path) -> Any:
+    """Return what the last commit has of a JSON file.
+
+    Raises
+    ------
+    SystemExit
+        If it is not committed.
+    """
+    folder = path.absolute().parent
+    done = subprocess.run(
+        ["git", "show", f"HEAD:./{path.name}"],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"commitments: {path}: is not committed; commit it before you go on")
+    return json.loads(done.stdout)
+
+
+def committed_answers(answers: Path, hashes: Path) -> dict[str, dict[str, Any]]:
+    """Return the answers of a folder, by their cases' names, if their hashes are committed.
+
+    Parameters
+    ----------
+    answers : Path
+    hashes : Path
+        What this program has printed of them.
+
+    Raises
+    ------
+    SystemExit
+        If the hashes are not committed, or an answer is not one of those, or one is not there.
+    """
+    expected, found = committed(hashes), hashes_of(answers)
+    others = sorted(name for name in {*expected, *found} if expected.get(name) != found.get(name))
+    if others:
+        raise SystemExit(
+            f"commitments: {answers}: {len(others)} answers are not those of {hashes} "
+            f"({', '.join(others[:3])}, …); give the answers that were committed"
+        )
+    read = {name: answers / f"{name}.json" for name in expected}
+    return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in read.items()}
+
+
+def main() -> None:
+    """Print the hashes of a folder of answers."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("answers", type=Path)
+    asked = parser.parse_args()
+    found = hashes_of(asked.answers)
+    if not found:
+        raise SystemExit(f"commitments: {asked.answers}: has no answers; name their folder")
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()

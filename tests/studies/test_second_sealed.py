@@ -1,0 +1,166 @@
+"""Sealed sets of the second laboratory: seals, answers that must be committed, and scores."""
+
+import json
+import subprocess
+
+import pytest
+
+pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
+
+from blind.scoring import NONE, UNKNOWN
+from studies.sealed.commitments import committed_answers, hashes_of
+from studies.sealed.commitments import main as print_hashes
+from studies.sealed.second_laboratory import COUNTS, SEALED, drawn_set, make, opened, read_cases
+from studies.sealed.second_scores import by_level, lines
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return drawn_set(0.1)
+
+
+def answer(cases, name, probability, d_prime=9.0):
+    case = cases[name].case
+    return {
+        "verdict": "none" if max(probability, key=probability.get) == NONE else "effect",
+        "effects_named": [],
+        "probability": probability,
+        "likely": [],
+        "effects": {each.id: {"d_prime": d_prime} for each in case.effects},
+        "explained_fraction": {"by": {}},
+    }
+
+
+def truth(sealed):
+    if sealed.case.kind == "unknown":
+        return UNKNOWN
+    return "+".join(each.id for each in sealed.case.effects) or NONE
+
+
+def test_a_set_has_cases_of_every_kind_and_level(cases):
+    found = [(each.case.kind, each.level) for each in cases.values()]
+    assert {pair: found.count(pair) for pair in COUNTS} == {
+        pair: round(0.1 * count) for pair, count in COUNTS.items()
+    }
+    assert sum(COUNTS.values()) == 190
+    assert len({each.salt for each in cases.values()}) == len(cases)
+
+
+def test_two_sets_share_no_seed(cases):
+    seeds = {each.case.seed for each in cases.values()}
+    assert not seeds & {each.case.seed for each in drawn_set(0.1).values()}
+
+
+def test_a_key_opens_only_what_it_was_sealed_with(cases, tmp_path):
+    make(tmp_path / "cases", tmp_path / "key.json", 0.1)
+    sealed = read_cases(tmp_path / "cases" / SEALED)
+    key = read_cases(tmp_path / "key.json")
+    assert opened(sealed, key).keys() == sealed.keys()
+    name = next(name for name, entry in key.items() if entry["case"]["kind"] == "clean")
+    key[name]["level"] = "rough" if key[name]["level"] != "rough" else "quiet"
+    with pytest.raises(SystemExit):
+        opened(sealed, key)
+
+
+def test_sealed_cases_say_nothing_of_their_labels(tmp_path):
+    make(tmp_path / "cases", tmp_path / "key.json", 0.1)
+    text = (tmp_path / "cases" / SEALED).read_text(encoding="utf-8")
+    for word in ("clean", "single", "quiet", "salt", "seed"):
+        assert word not in text
+
+
+def test_nothing_is_replaced(tmp_path):
+    make(tmp_path / "cases", tmp_path / "key.json", 0.1)
+    before = (tmp_path / "key.json").read_bytes()
+    with pytest.raises(SystemExit):
+        make(tmp_path / "others", tmp_path / "key.json", 0.1)
+    assert (tmp_path / "key.json").read_bytes() == before
+
+
+@pytest.fixture
+def repository(tmp_path):
+    def git(*asked):
+        subprocess.run(
+            ["git", "-c", "user.name=x", "-c", "user.email=x@example.org", *asked],
+            cwd=tmp_path, check=True, capture_output=True,
+        )  # fmt: skip
+
+    git("init")
+    (tmp_path / "answers").mkdir()
+    for name in ("one", "two"):
+        (tmp_path / "answers" / f"{name}.json").write_text(json.dumps({"is": name}))
+    return tmp_path, git
+
+
+def test_answers_are_read_once_their_hashes_are_committed(repository):
+    folder, git = repository
+    hashes = folder / "answered.json"
+    hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+    with pytest.raises(SystemExit):
+        committed_answers(folder / "answers", hashes)
+    git("add", "answered.json")
+    git("commit", "-m", "answers")
+    assert committed_answers(folder / "answers", hashes)["two"] == {"is": "two"}
+
+
+def test_another_answer_than_the_committed_one_is_refused(repository):
+    folder, git = repository
+    hashes = folder / "answered.json"
+    hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+    git("add", "answered.json")
+    git("commit", "-m", "answers")
+    (folder / "answers" / "one.json").write_text(json.dumps({"is": "better"}))
+    # Nor does it help to change the file of hashes: what counts is committed.
+    hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+    with pytest.raises(SystemExit):
+        committed_answers(folder / "answers", hashes)
+
+
+def test_a_missing_answer_is_refused(repository):
+    folder, git = repository
+    hashes = folder / "answered.json"
+    hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+    git("add", "answered.json")
+    git("commit", "-m", "answers")
+    (folder / "answers" / "one.json").unlink()
+    with pytest.raises(SystemExit):
+        committed_answers(folder / "answers", hashes)
+
+
+def test_hashes_of_no_answers_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["commitments", str(tmp_path)])
+    with pytest.raises(SystemExit):
+        print_hashes()
+
+
+def test_right_answers_have_the_best_scores(cases):
+    answers = {name: answer(cases, name, {truth(cases[name]): 1.0}) for name in cases}
+    scores = by_level(cases, answers)
+    for level in ("quiet", "ordinary", "rough", "all"):
+        own = scores[level]
+        assert own["false alarms"]["value"] == 0
+        assert own["class right at d' of 5 or more"]["value"] == 1
+        assert own["probability on the truth, there"]["value"] == 1
+        assert own["sure of a wrong class"]["value"] == 0
+        assert own["right where 99 % sure"]["value"] == 1
+        assert own["calibration error"]["value"] == 0
+    assert scores["all"]["cases"] == len(cases) == len(answers)
+    assert len(lines(scores)) == 1 + len(scores["all"])
+
+
+def test_wrong_and_missing_answers_count_as_wrong(cases):
+    answers = {name: answer(cases, name, {"crack": 0.95, NONE: 0.05}) for name in cases}
+    clean = [name for name, each in cases.items() if each.case.kind == "clean"]
+    del answers[clean[0]]
+    scores = by_level(cases, answers)["all"]
+    assert scores["false alarms"]["hits"] == scores["false alarms"]["cases"] == len(clean)
+    right = sum(truth(each) == "crack" for each in cases.values())
+    assert scores["sure of a wrong class"]["hits"] == len(cases) - right
+    assert scores["answered"] == len(cases) - 1
+
+
+def test_effects_that_do_not_stand_out_are_not_counted(cases):
+    answers = {name: answer(cases, name, {truth(cases[name]): 1.0}, 4.9) for name in cases}
+    scores = by_level(cases, answers)["all"]
+    assert scores["class right at d' of 5 or more"]["cases"] == 0
+    assert scores["pairs where both stand out"]["cases"] == 0

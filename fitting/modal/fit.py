@@ -67,7 +67,7 @@ from fitting.modal.out_of_phase import (
 )
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
-    FIRST_CORRELATED,
+    FIRST_SHARING,
     LAST,
     Given,
     Influence,
@@ -93,7 +93,7 @@ _DEGREE = 6
 # How often the discrepancy is estimated, and how often if the modes are known from another fit.
 _ROUNDS, _AGAIN = 3, 2
 # Scatter before the first residuals are known.
-_FIRST_SCATTER = Scatter(LAST.discrepancy, FIRST_WALK, FIRST_CORRELATED)
+_FIRST_SCATTER = Scatter(LAST.discrepancy, FIRST_WALK, FIRST_SHARING)
 # Explanations of a sweep are given up below this probability. Chosen: that of a normal distribution
 # beyond three standard errors.
 _IMPROBABLE = 1.3e-3
@@ -348,7 +348,8 @@ def _staged(
         prior = stage_prior(model, stage, centre_hz, scale)
         given = Given(displacements, drift, noise, prior)
         shared = shared_at(model, given, state, FIRST_WALK)
-        data = data_of(displacements.amplitude_rad, shared, noise, stage.discrepancy)
+        deviation = noise.deviation(stage.discrepancy)
+        data = data_of(displacements.amplitude_rad, shared, noise, deviation)
         state = minimise_cost(model, data, prior, fixed(prior, state), stage.iterations)
         scale = participation_scale(model, state)
     return model, state

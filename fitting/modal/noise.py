@@ -1,7 +1,8 @@
 """Errors of the amplitudes: measurement noise, and discrepancy of the model.
 
 The discrepancy is a fraction of the vibration of each hologram, correlated between neighbouring
-holograms and equal in all directions. It is estimated from the residuals of a fit.
+holograms and equal in all directions. It is estimated from the residuals of a fit. Noise is not
+correlated: in a fit, only the discrepancy counts as often as holograms share it (decision 0081).
 """
 
 from dataclasses import dataclass, replace
@@ -107,11 +108,6 @@ class Data:
         products[OUT_OF_PHASE:, OUT_OF_PHASE:] = each.transpose(1, 2, 0)
         return self.drift.products(products)
 
-    def weighing(self, fraction: float) -> "Data":
-        """Return the same data with every hologram weighted by a factor."""
-        root = np.sqrt(fraction)
-        return replace(self, root=root * self.root, response=root * self.response)
-
 
 def parts(complex_rows: ComplexArray) -> Array:
     """Concatenate real and imaginary parts: (k, j) → (k, 2j)."""
@@ -139,9 +135,17 @@ class Noise:
     power: Array
     inflation: Array
 
-    def deviation(self, discrepancy: float) -> Array:
-        """Return the standard deviation (k, 2j) along the directions, including discrepancy."""
-        variance = self.variance + discrepancy**2 * self.power[:, None]
+    def deviation(self, discrepancy: float, sharing: float = 1.0) -> Array:
+        """Return the standard deviation (k, 2j) along the directions, including discrepancy.
+
+        Parameters
+        ----------
+        discrepancy : float
+        sharing : float
+            Number of neighbours that have one discrepancy, where the deviation is that of their
+            mean times the root of their number.
+        """
+        variance = self.variance + sharing * discrepancy**2 * self.power[:, None]
         deviation: Array = np.sqrt(self.inflation[:, None] * variance)
         return deviation
 
@@ -164,9 +168,9 @@ def inflated(noise: Noise, whitened_residual: Array) -> Noise:
     return replace(noise, inflation=np.where(square > _OFF * usual, square / usual, 1.0))
 
 
-def data_of(amplitude: ComplexArray, shared: SharedError, noise: Noise, discrepancy: float) -> Data:
-    """Whiten amplitudes (k, j) by noise and a given discrepancy of the model."""
-    root = noise.directions / noise.deviation(discrepancy)[..., None]
+def data_of(amplitude: ComplexArray, shared: SharedError, noise: Noise, deviation: Array) -> Data:
+    """Whiten amplitudes (k, j) by their standard deviations (k, 2j), see `Noise.deviation`."""
+    root = noise.directions / deviation[..., None]
     response = root @ shared.response
     return Data(amplitude, root, response, shared.drift, shared.precision, shared.pull)
 
@@ -185,17 +189,41 @@ def balanced(noise: Noise, left: Array, freedoms: float) -> float:
     return float(np.exp(optimize.brentq(excess, least, most, xtol=1e-3)))
 
 
-def correlated_holograms(noise: Noise, whitened_residual: Array, log_drive: ComplexArray) -> float:
-    """Return the number of neighbouring holograms that count as one independent hologram.
+def sharing_holograms(
+    noise: Noise, whitened_residual: Array, log_drive: ComplexArray, discrepancy: float
+) -> float:
+    """Return the number of neighbouring holograms that have one discrepancy.
 
-    The residuals of neighbouring holograms are correlated, up to the phase of the drive. The number
-    is the sum of their correlations over all distances (integrated autocorrelation), at least 1.
+    The discrepancies of neighbouring holograms are correlated, up to the phase of the drive. The
+    number is the sum of their correlations over all distances (integrated autocorrelation), at
+    least 1. Products of residuals have the noise of the residuals, but nothing of it in the mean;
+    each counts as the noise there allows.
+
+    Parameters
+    ----------
+    noise : Noise
+    whitened_residual : (k, 2j) float
+        Residuals along the directions of the noise, over `Noise.deviation`.
+    log_drive : (k,) complex
+    discrepancy : float
+        With which the deviations were found.
     """
-    left = (noise.directions.swapaxes(1, 2) @ whitened_residual[..., None])[..., 0]
-    size = left.shape[1] // 2
-    turned = (left[:, :size] + 1j * left[:, size:]) * np.exp(-1j * log_drive.imag)[:, None]
-    whole = np.sum(np.abs(turned) ** 2)
-    correlation = [
-        np.sum(turned[:-lag].conj() * turned[lag:]).real / whole for lag in range(1, _FAR + 1)
-    ]
-    return max(1.0, 1 + 2 * float(np.sum(correlation)))
+    directions = _turned(noise.directions, -log_drive.imag)
+    weighed = (directions.swapaxes(1, 2) @ whitened_residual[..., None])[..., 0]
+    weights = directions.swapaxes(1, 2) @ (directions / noise.deviation(discrepancy)[..., None])
+    # What one discrepancy adds to the products of two holograms, for a correlation of 1.
+    size = discrepancy * np.sqrt(noise.inflation * noise.power)
+    whole = 1.0
+    for lag in range(1, min(_FAR, len(weighed) - 1) + 1):
+        found = float(np.sum(weighed[:-lag] * weighed[lag:]))
+        expected = np.sum(weights[:-lag] * weights[lag:], axis=(1, 2)) @ (size[:-lag] * size[lag:])
+        whole += 2 * float(np.clip(found / max(expected, np.finfo(float).tiny), -1, 1))
+    return max(1.0, whole)
+
+
+def _turned(directions: Array, phase: Array) -> Array:
+    """Turn directions (k, r, 2j) of complex amplitudes by the phase of each hologram (k,)."""
+    size = directions.shape[2] // 2
+    turned = directions[..., :size] + 1j * directions[..., size:]
+    turned = turned * np.exp(1j * phase)[:, None, None]
+    return np.concatenate([turned.real, turned.imag], axis=2)

@@ -27,7 +27,7 @@ from fitting.modal.model import (
     terms,
     with_gain,
 )
-from fitting.modal.noise import Data, Noise, balanced, correlated_holograms, data_of, inflated
+from fitting.modal.noise import Data, Noise, balanced, data_of, inflated, sharing_holograms
 from fitting.modal.normal_equations import Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
 from fitting.modal.out_of_phase import with_out_of_phase
@@ -36,9 +36,9 @@ from holography.arrays import Array, IndexArray
 
 # Stage of the last rounds.
 LAST = Stage(0.015, 0.7, 0.02, 1.0, 12)
-# Holograms that count as one before the first residuals are known: wrong shapes leave residuals as
-# far as a mode is seen, two widths at half power of a loss factor of 0.03, in steps of 25 cents.
-FIRST_CORRELATED = 4.0
+# Holograms with one discrepancy before the first residuals are known: wrong shapes leave residuals
+# as far as a mode is seen, two widths at half power of a loss factor of 0.03, in steps of 25 cents.
+FIRST_SHARING = 4.0
 # Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
 # by more than this fraction of its standard error.
 _MOST_RIPPLES, _SETTLED = 8, 0.2
@@ -77,13 +77,13 @@ class Scatter:
         See `fitting.modal.model.Stage`.
     walk : float
         See `fitting.modal.field_drift.shared_error`.
-    correlated : float
-        Number of holograms that count as one independent hologram.
+    sharing : float
+        Number of neighbouring holograms that have one discrepancy.
     """
 
     discrepancy: float
     walk: float
-    correlated: float = 1.0
+    sharing: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -144,36 +144,29 @@ def one_round(
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
     displacements, drift, noise = given.displacements, given.drift, given.noise
     prior, shared = given.prior, shared_at(model, given, state, scatter.walk)
-    data = data_of(displacements.amplitude_rad, shared, noise, scatter.discrepancy)
-    state, weighed = fixed(prior, state), data.weighing(1 / scatter.correlated)
-    state = with_gain(model, minimise_cost(model, weighed, prior, state, iterations))
-    at = evaluate(model, weighed, prior, state)
-    state, here = at.state, equations(model, weighed, prior, at)
+    weighing = noise.deviation(scatter.discrepancy, scatter.sharing)
+    data = data_of(displacements.amplitude_rad, shared, noise, weighing)
+    state = minimise_cost(model, data, prior, fixed(prior, state), iterations)
+    at = evaluate(model, data, prior, with_gain(model, state))
+    state, here = at.state, equations(model, data, prior, at)
     alone, root, _ = without_drive(here, 0.0)
     covariance = inverse(alone)
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
-    whitened_residual = data.whitened_residual(at.terms.amplitude(state), state.shared)
-    deviation = noise.deviation(scatter.discrepancy)
-    log_likelihood = -np.sum(0.5 * whitened_residual**2 + np.log(deviation), axis=1)
-    left = whitened_residual * deviation
+    weighed = data.whitened_residual(at.terms.amplitude(state), state.shared)
+    left = weighed * weighing
+    whitened_residual = left / noise.deviation(scatter.discrepancy)
     first = len(covariance) - len(shared.precision)
     walk = found_walk(drift, state.shared, covariance[first:, first:], scatter.walk)
     return Round(
         prior=prior,
         state=state,
         here=here,
-        data=weighed,
+        data=data,
         covariance=covariance,
-        log_evidence=_log_evidence(
-            at,
-            prior,
-            float(np.sum(np.log(deviation))) / scatter.correlated,
-            alone,
-            root,
-        ),
-        log_likelihood=log_likelihood / scatter.correlated,
+        log_evidence=_log_evidence(at, prior, float(np.sum(np.log(weighing))), alone, root),
+        log_likelihood=-np.sum(0.5 * weighed**2 + np.log(weighing), axis=1),
         whitened_residual=whitened_residual,
         misfit=float(np.sum(whitened_residual**2)) / freedoms,
         scatter=scatter,
@@ -181,8 +174,10 @@ def one_round(
             scatter,
             discrepancy=balanced(inflated(noise, whitened_residual), left, freedoms),
             walk=walk,
-            # Correlated holograms must not outweigh what is known of the drive.
-            correlated=correlated_holograms(noise, whitened_residual, state.log_drive),
+            # Holograms that share a discrepancy must not outweigh what is known of the drive.
+            sharing=sharing_holograms(
+                noise, whitened_residual, state.log_drive, scatter.discrepancy
+            ),
         ),
         common_mode_shift=drift.shift(state.shared)[:, OUT_OF_PHASE:],
         drift=drift,
@@ -244,8 +239,8 @@ class Optimum:
     @classmethod
     def of(cls, model: Model, end: Round, found: FoundRipple | None = None) -> "Optimum":
         """Collect an optimum from the last round, and the ripple that it had."""
-        # χ² of a round is not exactly as expected, and neighbouring residuals are correlated.
-        factor = end.misfit * end.next_scatter.correlated / end.scatter.correlated
+        # χ² of a round is not exactly as expected.
+        factor = end.misfit
         count, powers = len(model.active), model.powers.shape[1]
         own = logs_among_free(model, end.prior)
         covariance = factor * end.covariance[np.ix_(own, own)]
@@ -344,7 +339,7 @@ def probabilities(optima: Sequence[Optimum]) -> Array:
     logits = []
     for each in optima:
         gain = each.end.log_likelihood - best.end.log_likelihood
-        error = _error_of_sum(gain, round(best.end.scatter.correlated))
+        error = _error_of_sum(gain, round(best.end.scatter.sharing))
         less = each.log_evidence - best.log_evidence
         logits.append(less * min(1.0, _PROBIT / max(error, _PROBIT)))
     return np.asarray(softmax(logits))

@@ -639,7 +639,7 @@ def test_first_rounds_count_as_one_what_shows_one_mode(sweep, monkeypatch):
     fit_modes(*given, known, rough=True)
     holograms = 2 * 1200 * np.log2(1 + 0.03) / 25
     for first in (scatters[0], scatters[again]):
-        assert first.correlated == pytest.approx(holograms, abs=0.2)
+        assert first.sharing == pytest.approx(holograms, abs=0.2)
 
 
 # --- Invariance --------------------------------------------------------------------------------

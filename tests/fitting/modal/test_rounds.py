@@ -204,12 +204,27 @@ def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):
     assert found == pytest.approx(by_amplitudes, rel=1e-6)
 
 
+def test_noise_counts_once_and_a_discrepancy_as_often_as_holograms_share_it(sweep):
+    model, given, state = begun(sweep)
+    state = one_round(model, given, state, NOISE_ALONE, 40).state
+    own = logs_among_free(model, given.prior)
+    quiet = replace(given, noise=replace(given.noise, variance=1e-8 * given.noise.variance))
+
+    def errors(given, discrepancy, sharing):
+        scatter = Scatter(discrepancy, FIRST_WALK, sharing)
+        return np.sqrt(np.diag(one_round(model, given, state, scatter, 20).covariance)[own])
+
+    three = errors(quiet, 1e-3, 9.0) / errors(quiet, 1e-3, 1.0)
+    assert three == pytest.approx(np.full(len(own), 3.0), rel=0.1)
+    assert errors(given, 1e-4, 9.0) == pytest.approx(errors(given, 1e-4, 1.0), rel=0.02)
+
+
 # --- How sure a difference of two evidences is ---------------------------------------------------
 
 
-def explanations(*log_likelihoods, correlated=1.0):
+def explanations(*log_likelihoods, sharing=1.0):
     """Explanations whose evidence is what their holograms (k,) add up to."""
-    scatter = SimpleNamespace(correlated=correlated)
+    scatter = SimpleNamespace(sharing=sharing)
     return [
         SimpleNamespace(
             log_evidence=float(np.sum(each)),
@@ -238,15 +253,15 @@ def test_what_neighbours_dispute_together_counts_once():
     """Three successive holograms with the same difference: a sum of 200 independent triples."""
     triples = np.repeat(np.random.default_rng(4).permutation(np.repeat([-1.0, 1.0], 100)), 3)
     alone, together = (
-        probabilities(explanations(np.zeros(600), triples - 60 / 600, correlated=correlated))[0]
-        for correlated in (1.0, 6.0)
+        probabilities(explanations(np.zeros(600), triples - 60 / 600, sharing=sharing))[0]
+        for sharing in (1.0, 6.0)
     )
     true = stats.norm.cdf(60 / (3 * np.sqrt(200)))
     assert together == pytest.approx(true, abs=0.03)
     assert alone > true + 0.03
 
 
-def test_fewer_holograms_than_are_correlated_still_have_a_standard_error():
-    found = probabilities(explanations(np.zeros(3), np.array([2.0, -3.0, 0.5]), correlated=9.0))
+def test_fewer_holograms_than_share_still_have_a_standard_error():
+    found = probabilities(explanations(np.zeros(3), np.array([2.0, -3.0, 0.5]), sharing=9.0))
     assert found.sum() == pytest.approx(1)
     assert found[0] > found[1] > 0.2

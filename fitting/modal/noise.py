@@ -217,7 +217,9 @@ def sharing_holograms(
     for lag in range(1, min(_FAR, len(weighed) - 1) + 1):
         found = float(np.sum(weighed[:-lag] * weighed[lag:]))
         expected = np.sum(weights[:-lag] * weights[lag:], axis=(1, 2)) @ (size[:-lag] * size[lag:])
-        whole += 2 * float(np.clip(found / max(expected, np.finfo(float).tiny), -1, 1))
+        # No correlation is beyond 1, whatever noise makes of it.
+        within = float(np.clip(found, -expected, expected))
+        whole += 2 * within / max(float(expected), np.finfo(float).tiny)
     return max(1.0, whole)
 
 

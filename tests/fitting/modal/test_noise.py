@@ -106,12 +106,28 @@ def test_phases_of_holograms_change_nothing():
     assert sharing_holograms(other, residual, log_drive, DISCREPANCY) < 0.7 * before
 
 
+@pytest.mark.parametrize(("distance", "expected"), [(10, 2.0), (11, 1.0)])
+def test_correlations_count_up_to_ten_steps(distance, expected):
+    """A discrepancy that each hologram has half in common with one at a distance."""
+    rng = np.random.default_rng(9)
+    noise = a_noise(rng, 6000, np.ones(6000))
+    own = complex_normal(rng, 6000 + distance, COORDINATES)
+    discrepancy = DISCREPANCY * (own[distance:] + own[:-distance])
+    along = (noise.directions @ parts(discrepancy)[..., None])[..., 0]
+    residual = along / noise.deviation(DISCREPANCY)
+    found = sharing_holograms(noise, residual, np.zeros(6000, complex), DISCREPANCY)
+    assert found == pytest.approx(expected, abs=0.1)
+
+
 def test_few_holograms_share_a_number_that_is_bounded():
-    rng = np.random.default_rng(7)
-    noise = a_noise(rng, 3, np.full(3, 1e-12))
-    residual, log_drive = drawn(rng, noise, 0.0)
-    assert 1 <= sharing_holograms(noise, residual, log_drive, DISCREPANCY) <= 5
-    assert sharing_holograms(noise, residual, log_drive, 0.0) <= 5
+    """Residuals that are equal, and larger than a discrepancy could make them."""
+    noise = a_noise(np.random.default_rng(7), 3, np.ones(3))
+    directions = np.broadcast_to(np.eye(2 * COORDINATES), noise.directions.shape)
+    noise, equal = replace(noise, directions=directions), np.ones((3, 2 * COORDINATES))
+    assert sharing_holograms(noise, 9 * equal, np.zeros(3, complex), DISCREPANCY) == 5
+    assert sharing_holograms(noise, 9 * equal, np.zeros(3, complex), 0.0) == 1
+    opposite = 9 * equal * np.array([1, -1, 0])[:, None]
+    assert sharing_holograms(noise, opposite, np.zeros(3, complex), DISCREPANCY) == 1
 
 
 def test_sharing_increases_the_variance_of_the_discrepancy_only():

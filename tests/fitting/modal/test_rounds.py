@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.signal import lfilter
 
 from fitting.holograms.object_field import CommonModeError
 from fitting.modal.field_drift import FIRST_WALK
@@ -217,6 +218,57 @@ def test_noise_counts_once_and_a_discrepancy_as_often_as_holograms_share_it(swee
     three = errors(quiet, 1e-3, 9.0) / errors(quiet, 1e-3, 1.0)
     assert three == pytest.approx(np.full(len(own), 3.0), rel=0.1)
     assert errors(given, 1e-4, 9.0) == pytest.approx(errors(given, 1e-4, 1.0), rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def shared_sweep(sweep):
+    """The same displacements with a discrepancy of 3 % that some neighbours share."""
+    model, given, state = begun(sweep)
+    drive = one_round(model, given, state, NOISE_ALONE, 40).state.log_drive
+    found, rng = sweep.displacements, np.random.default_rng(5)
+    normal = complex_normal(rng, *found.amplitude_rad.shape)
+    walk = lfilter([np.sqrt(1 - 0.9**2)], [1, -0.9], normal, axis=0)
+    rms = np.sqrt(np.mean(np.abs(found.amplitude_rad) ** 2, axis=1, keepdims=True))
+    turned = 0.03 * np.sqrt(2) * rms * np.exp(1j * drive.imag)[:, None] * walk
+    return replace(sweep, displacements=replace(found, amplitude_rad=found.amplitude_rad + turned))
+
+
+def test_the_discrepancy_and_who_shares_it_do_not_depend_on_what_was_assumed(shared_sweep):
+    model, given, state = begun(shared_sweep)
+    state = one_round(model, given, state, Scatter(0.03, FIRST_WALK), 40).state
+    ends = [
+        one_round(model, given, state, Scatter(0.03, FIRST_WALK, sharing), 20)
+        for sharing in (1.0, 9.0)
+    ]
+    # Modes take a part of what neighbours share.
+    for end in ends:
+        assert 0.022 < end.next_scatter.discrepancy < 0.033
+        assert 0.6 < end.misfit < 1.2
+    first, second = (end.next_scatter.sharing for end in ends)
+    assert second == pytest.approx(first, rel=0.3)
+    assert 1.5 < first < 8
+
+
+def test_the_likelihood_of_a_hologram_is_that_of_its_residuals(shared_sweep):
+    model, given, state = begun(shared_sweep)
+    scatter = Scatter(0.03, FIRST_WALK, 4.0)
+    end = one_round(model, given, state, scatter, 20)
+    left = end.whitened_residual * given.noise.deviation(0.03)
+    density = stats.norm.logpdf(left, scale=given.noise.deviation(0.03, 4.0))
+    known = end.log_likelihood - 0.5 * np.log(2 * np.pi) * left.shape[1]
+    np.testing.assert_allclose(known, density.sum(axis=1), rtol=1e-9)
+
+
+def test_errors_are_as_large_as_residuals_show(sweep):
+    model, given, state = begun(sweep)
+    end = one_round(model, given, state, NOISE_ALONE, 20)
+    own = logs_among_free(model, given.prior)
+    found = Optimum.of(model, replace(end, misfit=4.0))
+    np.testing.assert_allclose(found.covariance, 4 * end.covariance[np.ix_(own, own)])
+    np.testing.assert_allclose(
+        found.magnitude_covariance,
+        4 * Optimum.of(model, replace(end, misfit=1.0)).magnitude_covariance,
+    )
 
 
 # --- How sure a difference of two evidences is ---------------------------------------------------

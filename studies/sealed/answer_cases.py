@@ -11,8 +11,10 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 
 def answer(case: Path, answers: Path) -> str:
@@ -29,6 +31,24 @@ def answer(case: Path, answers: Path) -> str:
     begun_file.write_text(done.stdout, encoding="utf-8")
     begun_file.rename(answers / f"{case.name}.json")
     return f"{case.name}: answered after {took_s:.0f} s"
+
+
+def diagnosed(kept: Path, campaigns: Sequence[Path], *options: str) -> dict[str, Any]:
+    """Return the answer to campaigns, which is kept in a file, and read from it another time.
+
+    Raises
+    ------
+    SystemExit
+        If there is no answer.
+    """
+    if not kept.exists():
+        command = [sys.executable, "-m", "acquire", "diagnose", *map(str, campaigns), *options]
+        done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"answer_cases: {campaigns[0]}: {done.stderr.strip()}")
+        kept.write_text(done.stdout, encoding="utf-8")
+    found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
+    return found
 
 
 def main() -> None:

@@ -73,6 +73,7 @@ def record(
     *,
     sensor: str = "small",
     campaign: CampaignFile | None = None,
+    bench: BenchFile | None = None,
     fineness: Fineness | None = None,
 ) -> tuple[Path, ...]:
     """Measure a campaign of a case into a folder, which must be new or empty.
@@ -89,6 +90,8 @@ def record(
     sensor : {'small', 'quarter', 'full'}
     campaign : CampaignFile, optional
         In place of the shipped one.
+    bench : BenchFile, optional
+        In place of `bench_file`, such as one that knows an effect of this bench.
     fineness : Fineness, optional
         Of the finite elements, for tests.
 
@@ -109,7 +112,7 @@ def record(
     measured = campaign or campaign_file(case.series, sensor)
     with tempfile.TemporaryDirectory() as scratch, _key(case, repeat, fineness):
         made = Path(scratch) / "campaign"
-        result = run_campaign(measured, made, bench_file(), reed=_REED, seed=_SEED)
+        result = run_campaign(measured, made, bench or bench_file(), reed=_REED, seed=_SEED)
         for path in sorted(made.iterdir()):
             shutil.move(path, folder / path.name)
     if len(result.parts) < len(measured.parts) or result.exit_status:

@@ -211,8 +211,9 @@ def sharing_holograms(
     directions = _turned(noise.directions, -log_drive.imag)
     weighed = (directions.swapaxes(1, 2) @ whitened_residual[..., None])[..., 0]
     weights = directions.swapaxes(1, 2) @ (directions / noise.deviation(discrepancy)[..., None])
-    # What one discrepancy adds to the products of two holograms, for a correlation of 1.
-    size = discrepancy * np.sqrt(noise.inflation * noise.power)
+    # What one discrepancy adds to the products of two holograms, for a correlation of 1. What makes
+    # a hologram an outlier is its own.
+    size = discrepancy * np.sqrt(noise.power)
     whole = 1.0
     for lag in range(1, min(_FAR, len(weighed) - 1) + 1):
         found = float(np.sum(weighed[:-lag] * weighed[lag:]))

@@ -72,21 +72,23 @@ def test_the_loudest_holograms_do_not_speak_for_all():
     noise = a_noise(rng, len(power), power)
     # Noise that is small everywhere: each hologram counts as much as any other.
     noise = replace(noise, variance=np.full_like(noise.variance, 1e-9))
-    alike, drive = drawn(rng, noise, 0.8)
+    together, drive = drawn(rng, noise, 0.8)
     apart, _ = drawn(rng, noise, 0.0)
     phase = np.exp(drive.imag * 1j)
-    residual = np.where(np.arange(6000)[:, None] < 3000, alike, apart)
+    residual = np.where(np.arange(6000)[:, None] < 3000, together, apart)
     found = sharing_holograms(noise, residual, np.log(phase), DISCREPANCY)
     assert found == pytest.approx(0.5 * (summed(0.8) + 1), rel=0.15)
 
 
-def test_outliers_count_less():
+def test_outliers_share_no_more_than_others():
+    """Every tenth hologram has residuals of its own that are ten times as large."""
     rng = np.random.default_rng(5)
     noise = a_noise(rng, 3000, np.ones(3000))
     residual, log_drive = drawn(rng, noise, 0.6)
-    # What is inflated is whitened by its larger deviation.
-    inflated = replace(noise, inflation=np.where(np.arange(3000) % 10 == 0, 100.0, 1.0))
-    found = sharing_holograms(inflated, residual, log_drive, DISCREPANCY)
+    inflation = np.where(np.arange(3000) % 10 == 0, 100.0, 1.0)
+    residual += np.sqrt(inflation - 1)[:, None] * rng.standard_normal(residual.shape)
+    residual /= np.sqrt(inflation)[:, None]
+    found = sharing_holograms(replace(noise, inflation=inflation), residual, log_drive, DISCREPANCY)
     assert found == pytest.approx(summed(0.6), rel=0.1)
 
 

@@ -20,16 +20,12 @@ from typing import Any
 def answer(case: Path, answers: Path) -> str:
     """Answer one case; return how it went."""
     begun = time.perf_counter()
-    command = [sys.executable, "-m", "acquire", "diagnose", str(case), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = _diagnose([case])
     took_s = time.perf_counter() - begun
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1:] or ["nothing said"]
         return f"{case.name}: not answered after {took_s:.0f} s: {last[0]}"
-    # Whole or not at all: an answer that was begun would stay.
-    begun_file = answers / f"{case.name}.begun"
-    begun_file.write_text(done.stdout, encoding="utf-8")
-    begun_file.rename(answers / f"{case.name}.json")
+    _keep(answers / f"{case.name}.json", done.stdout)
     return f"{case.name}: answered after {took_s:.0f} s"
 
 
@@ -42,13 +38,24 @@ def diagnosed(kept: Path, campaigns: Sequence[Path], *options: str) -> dict[str,
         If there is no answer.
     """
     if not kept.exists():
-        command = [sys.executable, "-m", "acquire", "diagnose", *map(str, campaigns), *options]
-        done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+        done = _diagnose(campaigns, *options)
         if done.returncode:
             raise SystemExit(f"answer_cases: {campaigns[0]}: {done.stderr.strip()}")
-        kept.write_text(done.stdout, encoding="utf-8")
+        _keep(kept, done.stdout)
     found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
     return found
+
+
+def _diagnose(campaigns: Sequence[Path], *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "acquire", "diagnose", *map(str, campaigns), *options]
+    return subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+
+
+def _keep(path: Path, text: str) -> None:
+    """Write an answer whole or not at all: one that was begun would stay."""
+    begun = path.with_name(f"{path.stem}.begun")
+    begun.write_text(text, encoding="utf-8")
+    begun.rename(path)
 
 
 def main() -> None:

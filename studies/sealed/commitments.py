@@ -32,6 +32,8 @@ def committed(path: Path) -> Any:
         If it is not committed.
     """
     folder = path.absolute().parent
+    if not folder.is_dir():
+        raise SystemExit(f"commitments: {folder}: is no folder; name that of the set")
     done = subprocess.run(
         ["git", "show", f"HEAD:./{path.name}"],
         cwd=folder, capture_output=True, text=True, check=False,
@@ -60,7 +62,7 @@ def committed_answers(answers: Path, hashes: Path) -> dict[str, dict[str, Any]]:
     if others:
         raise SystemExit(
             f"commitments: {answers}: {len(others)} answers are not those of {hashes} "
-            f"({', '.join(others[:3])}, …); give the answers that were committed"
+            f"(such as {others[0]}); give the answers that were committed"
         )
     read = {name: answers / f"{name}.json" for name in expected}
     return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in read.items()}

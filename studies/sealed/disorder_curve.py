@@ -9,7 +9,6 @@ would not show counts as none. FOLDER keeps campaigns and answers; a later call 
 
 import argparse
 import json
-import shutil
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -18,8 +17,8 @@ from typing import Any
 
 from blind.scoring import NONE, share
 from studies.sealed.answer_cases import answer
+from studies.sealed.second_laboratory import recorded
 from studies.second_laboratory.campaigns.case import draw_case
-from studies.second_laboratory.campaigns.recording import record
 
 AMOUNTS = 0.3, 0.5, 1.0, 2.0, 3.0, 5.0
 _SEED = 31_415_926
@@ -51,10 +50,7 @@ def answered(bench: CleanBench, folder: Path) -> dict[str, Any] | None:
     campaign, answers = folder / "campaigns" / bench.name, folder / "answers"
     answers.mkdir(parents=True, exist_ok=True)
     if not campaign.exists():
-        begun = campaign.with_name(f"{bench.name}.cut")
-        shutil.rmtree(begun, ignore_errors=True)
-        record(draw_case("clean", bench.amount, _SEED, bench.number), begun)
-        begun.rename(campaign)
+        recorded(campaign, draw_case("clean", bench.amount, _SEED, bench.number))
     kept = answers / f"{bench.name}.json"
     if not kept.exists():
         print(answer(campaign, answers), flush=True)

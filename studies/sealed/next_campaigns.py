@@ -1,18 +1,18 @@
 """What the proposed next measurement is worth, against as many minutes of more of the same.
 
-    python -m studies.sealed.next_campaigns CASES KEY ANSWERS FOLDER [--count N] [--jobs N]
+    python -m studies.sealed.next_campaigns CASES KEY ANSWERS FOLDER [--set SET]
+        [--count N] [--jobs N]
 
-CASES, KEY and ANSWERS are those of a scored set of the second laboratory. Of its cases with known
-effects to whose true class an answer gives between 5 and 90 %, N are taken, in the order of their
-names: there more data can help. `acquire diagnose --next` writes the campaign that separates the
-likeliest causes best; it is measured on another day, and diagnosed together with the first one. In
-its place, so are as many sweeps of the shipped kinds as take the same time. FOLDER keeps
-everything; a later call goes on from it. This laboratory has no hands for wax, a vacuum, or an hour
-of waiting.
+CASES, KEY, ANSWERS and SET are those of a scored set, see `studies.sealed.second_scores`. Of its
+cases with known effects to whose true class an answer gives between 5 and 90 %, N are taken, in the
+order of their names: there more data can help. `acquire diagnose --next` writes the campaign that
+separates the likeliest causes best; it is measured on another day, and diagnosed together with the
+first one. In its place, so are as many sweeps of the shipped kinds as take the same time. FOLDER
+keeps everything; a later call goes on from it. This laboratory has no hands for wax, a vacuum, or
+an hour of waiting.
 """
 
 import argparse
-import json
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -28,9 +28,8 @@ from diagnosis.experiment_design import EXPERIMENTS, Experiment, RankedExperimen
 from reports.next_campaign import write_next
 from runs.reader import Run
 from studies.sealed.answer_cases import diagnosed
-from studies.sealed.second_laboratory import SEALED, SealedCase, opened, read_cases
-from studies.sealed.second_scores import label_of
-from studies.second_laboratory.campaigns.recording import record
+from studies.sealed.second_laboratory import SealedCase, recorded
+from studies.sealed.second_scores import FOLDER, label_of, opened_set
 
 # Experiments that hands of this laboratory can do.
 PLAYABLE: Final = ("repeat", "long_rest", "more_frames", "without_clay")
@@ -91,31 +90,31 @@ def sweeps_of(minutes: float) -> Experiment:
     )
 
 
-def worth_of(sealed: SealedCase, recorded: Path, folder: Path) -> Worth:
+def worth_of(sealed: SealedCase, first: Path, folder: Path) -> Worth:
     """Measure what is proposed, and more of the same, and diagnose both with the first campaign.
 
     Parameters
     ----------
     sealed : SealedCase
-    recorded : Path
+    first : Path
         Its campaign.
     folder : Path
         For what is made here.
     """
     folder.mkdir(parents=True, exist_ok=True)
     proposed, same = folder / "next.yaml", folder / "same.yaml"
-    answer = diagnosed(folder / "before.json", [recorded], "--next", str(proposed))
+    answer = diagnosed(folder / "before.json", [first], "--next", str(proposed))
     best = next(
         each for each in answer["next"]["experiments"] if _experiment(each["id"]).campaign_parts
     )
     before = probability_of_truth(sealed, answer)
     if best["id"] not in PLAYABLE:
         return Worth(best["id"], best["minutes"], before, None, None)
-    with Run.open(recorded / "up.h5") as run:
+    with Run.open(first / "up.h5") as run:
         more = RankedExperiment(sweeps_of(best["minutes"]), float("nan"), float("nan"))
         write_next([more], ("more", "the same"), run.protocol_text, run.reed, same)
     after, repeated = (
-        probability_of_truth(sealed, _with_more(sealed, recorded, campaign, folder))
+        probability_of_truth(sealed, _with_more(sealed, first, campaign, folder))
         for campaign in (proposed, same)
     )
     return Worth(best["id"], best["minutes"], before, after, repeated)
@@ -125,12 +124,12 @@ def _experiment(name: str) -> Experiment:
     return next(each for each in EXPERIMENTS if each.id == name)
 
 
-def _with_more(sealed: SealedCase, recorded: Path, campaign: Path, folder: Path) -> dict[str, Any]:
+def _with_more(sealed: SealedCase, first: Path, campaign: Path, folder: Path) -> dict[str, Any]:
     """Return the answer with a further campaign."""
     runs = folder / campaign.stem
     if not runs.exists():
-        record(sealed.case, runs, repeat=1, campaign=load_campaign(campaign))
-    return diagnosed(folder / f"{campaign.stem}.json", [recorded, runs])
+        recorded(runs, sealed.case, repeat=1, campaign=load_campaign(campaign))
+    return diagnosed(folder / f"{campaign.stem}.json", [first, runs])
 
 
 def main() -> None:
@@ -140,17 +139,14 @@ def main() -> None:
         parser.add_argument(what, type=Path)
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--set", type=Path, default=FOLDER)
     asked = parser.parse_args()
-    cases = opened(read_cases(asked.cases / SEALED), read_cases(asked.key))
-    answers = {
-        path.stem: json.loads(path.read_text(encoding="utf-8"))
-        for path in asked.answers.glob("*.json")
-    }
+    cases, answers = opened_set(asked.key, asked.answers, asked.set)
     names = list(unsure(cases, answers))[: asked.count]
-    recorded, folders = ([place / name for name in names] for place in (asked.cases, asked.folder))
+    campaigns, folders = ([place / name for name in names] for place in (asked.cases, asked.folder))
     found = []
     with ProcessPoolExecutor(asked.jobs) as pool:
-        worths = pool.map(worth_of, [cases[name] for name in names], recorded, folders)
+        worths = pool.map(worth_of, [cases[name] for name in names], campaigns, folders)
         for name, worth in zip(names, worths, strict=True):
             true = "+".join(each.id for each in cases[name].case.effects)
             print(f"{name}  {cases[name].level:9s}{true:40s} {_said(worth)}", flush=True)

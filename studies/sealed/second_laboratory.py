@@ -121,23 +121,32 @@ def record_all(folder: Path, key: Path, jobs: int, sensor: str) -> None:
     todo = {name: each for name, each in cases.items() if not (folder / name).exists()}
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [
-            pool.submit(_recorded, folder, name, each.case, sensor) for name, each in todo.items()
+            pool.submit(recorded, folder / name, each.case, sensor=sensor)
+            for name, each in todo.items()
         ]
         for number, done in enumerate(as_completed(waiting)):
             print(f"{done.result()} ({number + 1} of {len(todo)})", flush=True)
 
 
-def _recorded(folder: Path, name: str, case: Case, sensor: str) -> str:
-    """Record one case; return how it went."""
-    begun = folder / f"{name}{_CUT}"
+def recorded(folder: Path, case: Case, **how: Any) -> str:
+    """Record one case into a folder that is there once it is whole; return how it went.
+
+    Parameters
+    ----------
+    folder : Path
+    case : Case
+    **how
+        Further arguments of `record`.
+    """
+    begun = folder.with_name(f"{folder.name}{_CUT}")
     shutil.rmtree(begun, ignore_errors=True)
-    said = f"{name}: recorded"
+    said = f"{folder.name}: recorded"
     try:
-        record(case, begun, sensor=sensor)
+        record(case, begun, **how)
     except RuntimeError as error:
         # What was measured before is what a technician would have.
-        said = f"{name}: {error}"
-    begun.rename(folder / name)
+        said = f"{folder.name}: {error}"
+    begun.rename(folder)
     return said
 
 

@@ -136,7 +136,9 @@ def _shown(score: Any) -> str:
     return f"{value:.3f}"
 
 
-def wrong(cases: Mapping[str, SealedCase], answers: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def case_lines(
+    cases: Mapping[str, SealedCase], answers: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
     """Return a line for each case: what is true, and what was answered."""
     found = []
     for name, each in sorted(cases.items(), key=lambda pair: (pair[1].case.kind, pair[1].level)):
@@ -153,6 +155,27 @@ def wrong(cases: Mapping[str, SealedCase], answers: Mapping[str, Mapping[str, An
     return found
 
 
+def opened_set(
+    key: Path, answers: Path, folder: Path
+) -> tuple[dict[str, SealedCase], dict[str, dict[str, Any]]]:
+    """Return the cases of a set and the answers to them, by name.
+
+    Parameters
+    ----------
+    key, answers : Path
+    folder : Path
+        With what was committed of the set.
+
+    Raises
+    ------
+    SystemExit
+        If labels or answers are not those that were committed. The key is read last.
+    """
+    answered = committed_answers(answers, folder / "answered.json")
+    sealed = committed(folder / SEALED)["cases"]
+    return opened(sealed, read_cases(key)), answered
+
+
 def main() -> None:
     """Print the scores of a set, and each case."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -161,14 +184,12 @@ def main() -> None:
     parser.add_argument("--set", type=Path, default=FOLDER, dest="folder")
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
-    answers = committed_answers(asked.answers, asked.folder / "answered.json")
-    sealed = committed(asked.folder / SEALED)["cases"]
-    cases = opened(sealed, read_cases(asked.key))
+    cases, answers = opened_set(asked.key, asked.answers, asked.folder)
     scores = by_level(cases, answers)
     if asked.json:
         print(json.dumps(scores, indent=1))
         return
-    print("\n".join([*wrong(cases, answers), "", *lines(scores)]))
+    print("\n".join([*case_lines(cases, answers), "", *lines(scores)]))
 
 
 if __name__ == "__main__":

@@ -1,17 +1,17 @@
 """How far a gap shrinks on a campaign that was not used to find its cause.
 
-    python -m studies.sealed.unused_campaigns CASES KEY ANSWERS FOLDER [--count N] [--jobs N]
+    python -m studies.sealed.unused_campaigns CASES KEY ANSWERS FOLDER [--set SET]
+        [--count N] [--jobs N]
 
-CASES, KEY and ANSWERS are those of a scored set of the second laboratory. N of its cases whose
-effects were named rightly are taken, in the order of their names. The cause is adopted into a copy
-of the bench file, and the same reed and bench are measured with it on another day. The fraction of
-the gap that the adopted effects explain there is divided by the fraction that the true effects
-explain if they are fitted to that campaign itself. FOLDER keeps everything; a later call goes on
-from it.
+CASES, KEY, ANSWERS and SET are those of a scored set, see `studies.sealed.second_scores`. N of its
+cases whose effects were named rightly are taken, in the order of their names. The cause is adopted
+into a copy of the bench file, and the same reed and bench are measured with it on another day. The
+fraction of the gap that the adopted effects explain there is divided by the fraction that the true
+effects explain if they are fitted to that campaign itself. FOLDER keeps everything; a later call
+goes on from it.
 """
 
 import argparse
-import json
 import statistics
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -24,9 +24,8 @@ from blind.scoring import RESOLVED, Case, Classes, best
 from protocols.bench import BenchFile
 from runs.reader import Run
 from studies.sealed.answer_cases import diagnosed
-from studies.sealed.second_laboratory import SEALED, SealedCase, opened, read_cases
-from studies.sealed.second_scores import label_of
-from studies.second_laboratory.campaigns.recording import record
+from studies.sealed.second_laboratory import SealedCase, recorded
+from studies.sealed.second_scores import FOLDER, label_of, opened_set
 
 _BENCH, _NEXT = "bench.yaml", "next"
 
@@ -70,27 +69,27 @@ def named_rightly(
                 yield name
 
 
-def closed_on_next(sealed: SealedCase, recorded: Path, folder: Path) -> Closed | None:
+def closed_on_next(sealed: SealedCase, campaign: Path, folder: Path) -> Closed | None:
     """Adopt the cause of a case, measure it again, and see what the cause explains; None of none.
 
     Parameters
     ----------
     sealed : SealedCase
-    recorded : Path
-        Its campaign.
+    campaign : Path
+        What was recorded of it.
     folder : Path
         For what is made here.
     """
     folder.mkdir(parents=True, exist_ok=True)
     bench, following = folder / _BENCH, folder / _NEXT
-    with Run.open(min(recorded.glob("*.h5"))) as run:
+    with Run.open(min(campaign.glob("*.h5"))) as run:
         before = run.bench_text
     bench.write_text(before, encoding="utf-8")
-    found = diagnosed(folder / "adopted.json", [recorded], "--adopt", str(bench))
+    found = diagnosed(folder / "adopted.json", [campaign], "--adopt", str(bench))
     if not found["adopted"]:
         return None
     if not following.exists():
-        record(sealed.case, following, repeat=1, bench=BenchFile.from_file(bench))
+        recorded(following, sealed.case, repeat=1, bench=BenchFile.from_file(bench))
     known = diagnosed(folder / "known.json", [following])["known"]["explained_fraction"]
     original = folder / "original.yaml"
     original.write_text(before, encoding="utf-8")
@@ -114,19 +113,15 @@ def main() -> None:
         parser.add_argument(what, type=Path)
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--set", type=Path, default=FOLDER)
     asked = parser.parse_args()
-    cases = opened(read_cases(asked.cases / SEALED), read_cases(asked.key))
-    answers = {
-        path.stem: json.loads(path.read_text(encoding="utf-8"))
-        for path in asked.answers.glob("*.json")
-    }
+    cases, answers = opened_set(asked.key, asked.answers, asked.set)
     names = list(named_rightly(cases, answers))[: asked.count]
-
-    recorded, folders = ([place / name for name in names] for place in (asked.cases, asked.folder))
+    campaigns, folders = ([place / name for name in names] for place in (asked.cases, asked.folder))
     sealed = [cases[name] for name in names]
     ratios = []
     with ProcessPoolExecutor(asked.jobs) as pool:
-        closed = pool.map(closed_on_next, sealed, recorded, folders)
+        closed = pool.map(closed_on_next, sealed, campaigns, folders)
         for name, found in zip(names, closed, strict=True):
             true = "+".join(each.id for each in cases[name].case.effects)
             print(f"{name}  {cases[name].level:9s}{true:40s} {_said(found)}", flush=True)

@@ -24,21 +24,6 @@ def test_an_answer_that_is_there_is_not_made_again(tmp_path, monkeypatch):
     (tmp_path / "campaigns" / bench.name).mkdir(parents=True)
     (tmp_path / "answers").mkdir()
     (tmp_path / "answers" / f"{bench.name}.json").write_text('{"verdict": "none"}')
-    monkeypatch.setattr(disorder_curve, "record", None)
+    monkeypatch.setattr(disorder_curve, "recorded", None)
     monkeypatch.setattr(disorder_curve, "answer", None)
     assert answered(bench, tmp_path) == {"verdict": "none"}
-
-
-def test_a_bench_is_recorded_whole_or_not_at_all(tmp_path, monkeypatch):
-    bench = CleanBench(0.3, 1)
-
-    def record(_case, folder):
-        folder.mkdir(parents=True)
-        (folder / "up.h5").touch()
-        raise RuntimeError("interrupted")
-
-    monkeypatch.setattr(disorder_curve, "record", record)
-    with pytest.raises(RuntimeError):
-        answered(bench, tmp_path)
-    # What was begun has the whole name of its bench: others are recorded at the same time.
-    assert [path.name for path in (tmp_path / "campaigns").iterdir()] == [f"{bench.name}.cut"]

@@ -65,7 +65,7 @@ def fakes(monkeypatch, sealed, proposed):
     monkeypatch.setattr(next_campaigns, "write_next", lambda *_: None)
     monkeypatch.setattr(next_campaigns, "load_campaign", lambda path: path)
     monkeypatch.setattr(
-        next_campaigns, "record", lambda _case, folder, repeat, campaign: folder.mkdir()
+        next_campaigns, "recorded", lambda folder, _case, repeat, campaign: folder.mkdir()
     )
     return asked
 

@@ -8,10 +8,19 @@ import pytest
 pytest.importorskip("skfem", reason="the extra 'blind' is not installed")
 
 from blind.scoring import NONE, UNKNOWN
+from studies.sealed import second_laboratory
 from studies.sealed.commitments import committed_answers, hashes_of
 from studies.sealed.commitments import main as print_hashes
-from studies.sealed.second_laboratory import COUNTS, SEALED, drawn_set, make, opened, read_cases
-from studies.sealed.second_scores import by_level, lines
+from studies.sealed.second_laboratory import (
+    COUNTS,
+    SEALED,
+    drawn_set,
+    make,
+    opened,
+    read_cases,
+    recorded,
+)
+from studies.sealed.second_scores import by_level, lines, opened_set
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +86,31 @@ def test_nothing_is_replaced(tmp_path):
     assert (tmp_path / "key.json").read_bytes() == before
 
 
+def test_a_case_is_recorded_whole_or_not_at_all(cases, tmp_path, monkeypatch):
+    case = next(iter(cases.values())).case
+
+    def interrupted(_case, folder):
+        folder.mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(second_laboratory, "record", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        recorded(tmp_path / "0.3-1", case)
+    # What was begun has the whole name of its case: others are recorded at the same time.
+    assert [path.name for path in tmp_path.iterdir()] == ["0.3-1.cut"]
+
+
+def test_a_campaign_that_ended_early_is_kept_and_said_so(cases, tmp_path, monkeypatch):
+    def ended(_case, folder):
+        folder.mkdir()
+        raise RuntimeError("the campaign ended early")
+
+    monkeypatch.setattr(second_laboratory, "record", ended)
+    said = recorded(tmp_path / "one", next(iter(cases.values())).case)
+    assert "ended early" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["one"]
+
+
 @pytest.fixture
 def repository(tmp_path):
     def git(*asked):
@@ -125,6 +159,25 @@ def test_a_missing_answer_is_refused(repository):
     (folder / "answers" / "one.json").unlink()
     with pytest.raises(SystemExit):
         committed_answers(folder / "answers", hashes)
+
+
+def test_no_key_is_read_before_answers_are_committed(repository):
+    folder, git = repository
+    hashes = hashes_of(folder / "answers")
+    (folder / "answered.json").write_text(json.dumps(hashes))
+    (folder / SEALED).write_text(json.dumps({"cases": {}}))
+    # The key is not there: what is missed first is not the key.
+    with pytest.raises(SystemExit):
+        opened_set(folder / "key.json", folder / "answers", folder)
+    git("add", "answered.json", SEALED)
+    git("commit", "-m", "set")
+    with pytest.raises(FileNotFoundError):
+        opened_set(folder / "key.json", folder / "answers", folder)
+
+
+def test_a_set_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(SystemExit):
+        committed_answers(tmp_path, tmp_path / "none" / "answered.json")
 
 
 def test_hashes_of_no_answers_are_refused(tmp_path, monkeypatch):

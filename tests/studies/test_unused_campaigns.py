@@ -77,7 +77,7 @@ def test_what_was_adopted_is_compared_with_the_truth_on_the_next_campaign(
     monkeypatch.setattr(unused_campaigns, "diagnosed", diagnosed)
     monkeypatch.setattr(unused_campaigns.BenchFile, "from_file", lambda path: path)
     monkeypatch.setattr(
-        unused_campaigns, "record", lambda case, folder, repeat, bench: folder.mkdir()
+        unused_campaigns, "recorded", lambda folder, case, repeat, bench: folder.mkdir()
     )
     found = closed_on_next(sealed, tmp_path / "case", tmp_path / "work")
     assert found == Closed(0.6, 0.5, 0.7, 0.8)

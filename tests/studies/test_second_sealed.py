@@ -130,9 +130,10 @@ def test_answers_are_read_once_their_hashes_are_committed(repository):
     folder, git = repository
     hashes = folder / "answered.json"
     hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+    git("add", "answered.json")
+    # What is staged is not committed.
     with pytest.raises(SystemExit):
         committed_answers(folder / "answers", hashes)
-    git("add", "answered.json")
     git("commit", "-m", "answers")
     assert committed_answers(folder / "answers", hashes)["two"] == {"is": "two"}
 
@@ -175,6 +176,22 @@ def test_no_key_is_read_before_answers_are_committed(repository):
         opened_set(folder / "key.json", folder / "answers", folder)
 
 
+def test_a_key_must_fit_the_seal_that_was_committed(repository):
+    folder, git = repository
+    for name in ("cases", "others"):
+        make(folder / name, folder / f"{name}.key.json", 0.1)
+    (folder / "answered.json").write_text(json.dumps(hashes_of(folder / "answers")))
+    (folder / SEALED).write_bytes((folder / "cases" / SEALED).read_bytes())
+    git("add", "answered.json", SEALED)
+    git("commit", "-m", "set")
+    cases, _ = opened_set(folder / "cases.key.json", folder / "answers", folder)
+    assert cases.keys() == read_cases(folder / "cases" / SEALED).keys()
+    # Another seal in its place, with its own key, opens nothing.
+    (folder / SEALED).write_bytes((folder / "others" / SEALED).read_bytes())
+    with pytest.raises(SystemExit):
+        opened_set(folder / "others.key.json", folder / "answers", folder)
+
+
 def test_a_set_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(SystemExit):
         committed_answers(tmp_path, tmp_path / "none" / "answered.json")
@@ -210,6 +227,9 @@ def test_wrong_and_missing_answers_count_as_wrong(cases):
     right = sum(truth(each) == "crack" for each in cases.values())
     assert scores["sure of a wrong class"]["hits"] == len(cases) - right
     assert scores["answered"] == len(cases) - 1
+    # The missing one counts as sure; 95 % is not sure enough.
+    surest = scores["right where 99 % sure"]
+    assert (surest["hits"], surest["cases"]) == (0, 1)
 
 
 def test_effects_that_do_not_stand_out_are_not_counted(cases):

@@ -76,9 +76,15 @@ def test_what_was_adopted_is_compared_with_the_truth_on_the_next_campaign(
     monkeypatch.setattr(unused_campaigns.Run, "open", lambda _path: FakeRun())
     monkeypatch.setattr(unused_campaigns, "diagnosed", diagnosed)
     monkeypatch.setattr(unused_campaigns.BenchFile, "from_file", lambda path: path)
-    monkeypatch.setattr(
-        unused_campaigns, "recorded", lambda folder, case, repeat, bench: folder.mkdir()
-    )
+    days = []
+
+    def recorded(folder, _case, repeat, bench):
+        days.append((repeat, bench.name))
+        folder.mkdir()
+
+    monkeypatch.setattr(unused_campaigns, "recorded", recorded)
     found = closed_on_next(sealed, tmp_path / "case", tmp_path / "work")
     assert found == Closed(0.6, 0.5, 0.7, 0.8)
+    # On another day, with the bench file into which the cause was adopted.
+    assert days == [(1, "bench.yaml")]
     assert measured == [("case", "--adopt"), ("next",), ("next", "--bench")]

@@ -8,7 +8,7 @@ paths in parallel to the direct one multiply the pressure by
 
 The drive is largest below the pole f₀ if c is positive, because the two paths cancel above it. The
 pole is therefore fitted, not the largest value: f₀, Q and complex c of all peaks together, over the
-smooth drive of a loudspeaker (`fitting.modal.drive_prior`) and with the covariance of the drive.
+smooth drive of a loudspeaker (`fitting.modal.drive.prior`) and with the covariance of the drive.
 
 In one sweep a peak of the drive may still belong to the reed, if no mode explains it. A peak at the
 same frequency in several reeds does not.
@@ -23,7 +23,7 @@ from scipy import linalg
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import chi2
 
-from fitting.modal.drive_prior import LEAST_GAIN, quiet_ripple
+from fitting.modal.drive.prior import LEAST_GAIN, quiet_ripple
 from holography.arrays import Array, Mask
 
 # Least height of a line in dB: ripple of loudspeakers reaches 3 dB. Most lines of a drive.

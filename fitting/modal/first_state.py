@@ -1,4 +1,4 @@
-"""The state from which the joint fit of a sweep begins."""
+"""The state from which the joint fit of a sweep begins, and its first stages."""
 
 from dataclasses import replace
 
@@ -6,11 +6,23 @@ import numpy as np
 from scipy import linalg
 
 from fitting.holograms.solved_sweep import Displacements
-from fitting.modal.model import LOSS, TAIL_TERMS, Model, State, terms
+from fitting.modal.field_drift import FIRST_WALK, FieldDrift
+from fitting.modal.model import LOSS, TAIL_TERMS, Model, Stage, State, stage_prior, terms
+from fitting.modal.noise import Noise, data_of
+from fitting.modal.optimiser import minimise_cost
+from fitting.modal.out_of_phase import expected_shared
+from fitting.modal.rounds import FIRST_SHARING, LAST, Given, Scatter, fixed, shared_at
 from holography.arrays import Array, ComplexArray
 
 # Least scale of a participation, relative to the largest.
 _LEAST_SCALE = 3e-3
+_STAGES = (
+    Stage(0.3, 0.05, 0.01, 0.05, 3),
+    Stage(0.1, 0.3, 0.01, 0.3, 3),
+    Stage(0.03, 0.5, 0.01, 1.0, 3),
+)
+# Scatter before the first residuals are known.
+FIRST_SCATTER = Scatter(LAST.discrepancy, FIRST_WALK, FIRST_SHARING)
 
 
 def participation_scale(model: Model, state: State) -> Array:
@@ -72,3 +84,35 @@ def at_level(model: Model, state: State) -> Model:
     """Expect the drive's mean magnitude where it is: what all holograms share is participation."""
     level = float(np.mean(state.log_drive.real - model.log_volts))
     return replace(model, log_volts=model.log_volts + level)
+
+
+def staged(
+    model: Model, displacements: Displacements, noise: Noise, drift: FieldDrift, centre_hz: Array
+) -> tuple[Model, State]:
+    """Fit with priors that widen from stage to stage.
+
+    Parameters
+    ----------
+    model : Model
+    displacements : Displacements
+    noise : Noise
+    drift : FieldDrift
+    centre_hz : (a,) float
+        Start frequencies of the active modes.
+
+    Returns
+    -------
+    Model, State
+        The model expects the drive at the level of the state.
+    """
+    state, scale = first_state(model, displacements, expected_shared(drift))
+    model = at_level(model, state)
+    for stage in _STAGES:
+        prior = stage_prior(model, stage, centre_hz, scale)
+        given = Given(displacements, drift, noise, prior)
+        shared = shared_at(model, given, state, FIRST_WALK)
+        deviation = noise.deviation(stage.discrepancy)
+        data = data_of(displacements.amplitude_rad, shared, noise, deviation)
+        state = minimise_cost(model, data, prior, fixed(prior, state), stage.iterations)
+        scale = participation_scale(model, state)
+    return model, state

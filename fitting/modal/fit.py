@@ -21,94 +21,48 @@ added to the noise, and the ripple of the drive and its lines from the drive tha
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
-from fitting.modal.drive_lines import (
-    TakenMode,
-    away_from,
-    drive_lines,
-    expecting,
-    taken_modes,
-    with_lines,
-)
-from fitting.modal.drive_prior import (
-    HELD_LEVEL,
-    DriveForm,
-    Ripple,
-    quiet_ripple,
-    smooth_ripple,
-    strong_ripple,
-)
-from fitting.modal.field_drift import FIRST_WALK, FieldDrift, covariance_by_other_changes
-from fitting.modal.first_state import at_level, first_state, participation_scale
+from fitting.modal.drive.prior import HELD_LEVEL, DriveForm, quiet_ripple
+from fitting.modal.field_drift import covariance_by_other_changes
+from fitting.modal.first_state import FIRST_SCATTER, at_level, participation_scale, staged
 from fitting.modal.modal_fit import ModalFit
-from fitting.modal.model import (
-    DRIVE_DOF,
-    OUT_OF_PHASE,
-    Model,
-    Prior,
-    Stage,
-    State,
-    rescaled,
-    stage_prior,
-    terms,
-)
-from fitting.modal.noise import Noise, data_of, noise_of
-from fitting.modal.optimiser import inverse, minimise_cost
-from fitting.modal.out_of_phase import (
-    expected_shared,
-    shared_drift,
-    sound_between_modes,
-)
+from fitting.modal.model import DRIVE_DOF, OUT_OF_PHASE, Model, Prior, State, stage_prior, terms
+from fitting.modal.noise import Noise, noise_of
+from fitting.modal.optimiser import inverse
+from fitting.modal.out_of_phase import expected_shared, shared_drift, sound_between_modes
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
-    FIRST_SHARING,
     LAST,
     Given,
     Influence,
     Optimum,
     Round,
     Scatter,
-    fixed,
+    in_rounds,
     influence,
     likeliest,
     logs_among_free,
     one_round,
     probabilities,
-    shared_at,
-    with_ripple,
 )
-from fitting.parallel.processes import map_processes
+from fitting.modal.search import IMPROBABLE, ROUNDS, searched, weighed
 from holography.arrays import Array
 
 # Participations are polynomials of frequency of this degree: the shape of the pressure on the reed
 # changes with the length of chamber and reed in wavelengths. What waves from 1 to 20 kHz have of a
 # higher degree is below the noise of displacements (decisions 0045 and 0057).
 _DEGREE = 6
-# How often the discrepancy is estimated, and how often if the modes are known from another fit.
-_ROUNDS, _AGAIN = 3, 2
-# Scatter before the first residuals are known.
-_FIRST_SCATTER = Scatter(LAST.discrepancy, FIRST_WALK, FIRST_SHARING)
-# Explanations of a sweep are given up below this probability. Chosen: that of a normal distribution
-# beyond three standard errors.
-_IMPROBABLE = 1.3e-3
+# How often the discrepancy is estimated if the modes are known from another fit.
+_AGAIN = 2
 # Levenberg-Marquardt steps in a round of a rough fit. With 4, and 1 in a stage, rough fits of two
 # sweeps took a fifth less time, and one of them left 3 outliers in place of none.
 _ROUGH_STEPS = 6
-
-# Prior standard deviation of a log frequency that is held: a small part of the width of a mode.
-_HELD = 1e-3
-
-_STAGES = (
-    Stage(0.3, 0.05, 0.01, 0.05, 3),
-    Stage(0.1, 0.3, 0.01, 0.3, 3),
-    Stage(0.03, 0.5, 0.01, 1.0, 3),
-)
 
 
 def fit_modes(
@@ -117,8 +71,7 @@ def fit_modes(
     drive_hz: Array,
     volts: Array,
     start_hz: dict[str, float],
-    known: ModalFit | None = None,
-    rough: bool = False,
+    *others_hz: dict[str, float],
 ) -> ModalFit:
     """Fit the joint model of a sweep.
 
@@ -132,35 +85,54 @@ def fit_modes(
     start_hz : dict
         Start frequency of each mode, by name, for all modes of the basis with a resonance within
         the sweep.
+    *others_hz : dict
+        Other starts for the same modes. What fits from all starts have found is compared.
+
+    Returns
+    -------
+    ModalFit
+    """
+    searches = []
+    for each_hz in (start_hz, *others_hz):
+        model, centre_hz = _model(basis, drive_hz, volts, each_hz)
+        model, given, state = _begun(model, displacements, centre_hz)
+        end, given = in_rounds(model, given, state, FIRST_SCATTER, ROUNDS)
+        searches.append(searched(model, given, end.state, end.next_scatter, centre_hz))
+    return _finish(displacements, basis.names, weighed(searches).optima)
+
+
+def fit_roughly(
+    displacements: Displacements,
+    basis: ShapeBasis,
+    drive_hz: Array,
+    volts: Array,
+    start_hz: dict[str, float],
+    known: ModalFit | None = None,
+) -> ModalFit:
+    """Fit the joint model of a sweep, but for the ripple and the lines of the drive.
+
+    It predicts displacements well enough for a better fit of these.
+
+    Parameters
+    ----------
+    displacements, basis, drive_hz, volts, start_hz
+        See `fit_modes`.
     known : ModalFit, optional
         Start of the fit.
-    rough : bool, optional
-        End before the ripple of the drive is found: the fit predicts displacements well enough for
-        a better fit of these.
 
     Returns
     -------
     ModalFit
     """
     model, centre_hz = _model(basis, drive_hz, volts, start_hz)
-    noise = noise_of(displacements)
-    drift = shared_drift(displacements)
     if known is None:
-        model, state = _staged(model, displacements, noise, drift, centre_hz)
-        rounds, scatter = _ROUNDS, _FIRST_SCATTER
+        model, given, state = _begun(model, displacements, centre_hz)
+        rounds, scatter = ROUNDS, FIRST_SCATTER
     else:
-        model, state = _again(model, known, displacements, drift)
+        model, given, state = _again(model, known, displacements, centre_hz)
         rounds, scatter = _AGAIN, _scatter_of(known)
-    prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
-    given = Given(displacements, drift, noise, prior)
-    steps = _ROUGH_STEPS if rough else LAST.iterations
-    for _ in range(rounds):
-        end = one_round(model, given, state, scatter, steps)
-        state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
-    if rough:
-        return _finish(displacements, basis.names, [Optimum.of(model, end)])
-    found = _with_lines(Search(model, given, _optima(model, given, state, scatter)))
-    return _finish(displacements, basis.names, _challenged(found, centre_hz).optima)
+    end, _ = in_rounds(model, given, state, scatter, rounds, _ROUGH_STEPS)
+    return _finish(displacements, basis.names, [Optimum.of(model, end)])
 
 
 def fit_modes_with_known_drive(
@@ -195,119 +167,12 @@ def fit_modes_with_known_drive(
     for form in known.drive_forms:
         bare, centre_hz = _model(basis, drive_hz, np.exp(form.log_magnitude), start_hz)
         models.append(replace(bare, ripple=form.ripple, line_weight=form.log_probability))
-    noise, drift = noise_of(displacements), shared_drift(displacements)
-    model, state = _again(models[0], known, displacements, drift)
-    prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
-    given, scatter = Given(displacements, drift, noise, prior), _scatter_of(known)
-    for _ in range(_AGAIN - 1):
-        end = one_round(model, given, state, scatter)
-        state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
+    model, given, state = _again(models[0], known, displacements, centre_hz)
+    end, given = in_rounds(model, given, state, _scatter_of(known), _AGAIN - 1)
+    state, scatter = end.state, end.next_scatter
     levelled = [at_level(each, state) for each in models]
     optima = [Optimum.of(each, one_round(each, given, state, scatter)) for each in levelled]
     return _finish(displacements, basis.names, optima)
-
-
-@dataclass(frozen=True)
-class Search:
-    """Optima whose evidence can be compared.
-
-    Attributes
-    ----------
-    bare : Model
-        Model that expects no line of the drive, at the drive's level in these optima.
-    given : Given
-    optima : list of Optimum
-        All with the same scatter.
-    """
-
-    bare: Model
-    given: Given
-    optima: list[Optimum]
-
-
-def _with_lines(search: Search) -> Search:
-    """Try to explain the drive by its lines, too."""
-    explained = with_lines(likeliest(search.optima), search.given, search.bare)
-    return replace(search, optima=[*search.optima, explained]) if explained else search
-
-
-def _optima(model: Model, given: Given, state: State, scatter: Scatter) -> list[Optimum]:
-    """Find the ripple of the drive from a smooth and from a strong one, in parallel."""
-
-    def optimum(ripple: Ripple) -> Optimum:
-        return with_ripple(replace(model, ripple=ripple), given, state, scatter)
-
-    return list(map_processes(optimum, (smooth_ripple(model.ripple), strong_ripple(model.ripple))))
-
-
-def _challenged(search: Search, centre_hz: Array) -> Search:
-    """Try, for each line of the drive that may have taken a mode, the mode in its place."""
-    tried = set[int]()
-    while True:
-        best = likeliest(search.optima)
-        taken = [
-            each
-            for each in taken_modes(best, drive_lines(best, search.bare))
-            if each.mode not in tried
-        ]
-        if not taken:
-            return search
-        tried.add(taken[0].mode)
-        search = _with_mode_for_line(search, taken[0], centre_hz)
-
-
-def _with_mode_for_line(search: Search, taken: TakenMode, centre_hz: Array) -> Search:
-    """Try to explain a sweep by a mode where the drive has a line.
-
-    The resonance of a mode that moves the reed almost alone looks like a line of the drive. With
-    that line the fit leaves less scatter, so that the line seems sure. Modes and scatter are
-    therefore found again, first with the mode held in its place. Both explanations are compared
-    with that scatter, and the likelier one is taken.
-    """
-    best, given, bare = likeliest(search.optima), search.given, search.bare
-    displacements, noise = given.displacements, noise_of(given.displacements)
-    # Without the notches of distant lines, modes are found in their place.
-    modes = np.concatenate([np.log(centre_hz), best.logs[: len(centre_hz)]])
-    expected = expecting(bare, away_from(drive_lines(best, bare), modes))
-    model, state = _staged(expected, displacements, noise, given.drift, centre_hz)
-    prior = stage_prior(model, LAST, centre_hz, participation_scale(model, state))
-    held, state = _held_at(model, prior, state, taken)
-    there, scatter = Given(displacements, given.drift, noise, held), _FIRST_SCATTER
-    for _ in range(_ROUNDS):
-        end = one_round(model, there, state, scatter)
-        state, there, scatter = end.state, replace(there, noise=end.noise), end.next_scatter
-    bare = replace(bare, log_volts=bare.log_volts + (model.log_volts - expected.log_volts)[0])
-    best_held = likeliest(_optima(bare, there, state, scatter))
-    other = _compared(Search(bare, replace(there, prior=prior), [best_held]), scatter)
-    before = _compared(replace(search, optima=[best]), scatter)
-    both = [*other.optima, *before.optima]
-    if np.sum(probabilities(both)[: len(other.optima)]) < _IMPROBABLE:
-        return search
-    # Later comparisons need the prior and the noise of the likeliest.
-    likelier = max(other, before, key=lambda each: likeliest(each.optima).log_evidence)
-    return replace(likelier, optima=both)
-
-
-def _compared(search: Search, scatter: Scatter) -> Search:
-    """Find an optimum again, with lines too, such that its evidence can be compared.
-
-    Participations are expected as large as it has them. Some 250 numbers have this prior: with that
-    of a start, whose drive is louder or softer, the evidence differed by 130 (decision 0056).
-    """
-    (found,) = search.optima
-    scale = participation_scale(found.model, found.end.state)
-    given = replace(search.given, prior=rescaled(search.given.prior, found.model, LAST, scale))
-    again = with_ripple(found.model, given, found.end.state, scatter)
-    return _with_lines(Search(search.bare, given, [again]))
-
-
-def _held_at(model: Model, prior: Prior, state: State, taken: TakenMode) -> tuple[Prior, State]:
-    """Put a mode where a line is, and hold its frequency there."""
-    x, precision, centre = state.x.copy(), prior.precision.copy(), prior.centre.copy()
-    at = taken.mode, 2 * model.powers.shape[1]
-    x[at], x[at[0], at[1] + 1] = taken.log_hz, taken.log_loss
-    centre[at], precision[at] = taken.log_hz, _HELD**-2
-    return Prior(centre, precision), replace(state, x=x)
 
 
 def _model(
@@ -338,42 +203,40 @@ def _model(
     return model, centre_hz
 
 
-def _staged(
-    model: Model, displacements: Displacements, noise: Noise, drift: FieldDrift, centre_hz: Array
-) -> tuple[Model, State]:
-    """Fit with priors that widen from stage to stage."""
-    state, scale = first_state(model, displacements, expected_shared(drift))
-    model = at_level(model, state)
-    for stage in _STAGES:
-        prior = stage_prior(model, stage, centre_hz, scale)
-        given = Given(displacements, drift, noise, prior)
-        shared = shared_at(model, given, state, FIRST_WALK)
-        deviation = noise.deviation(stage.discrepancy)
-        data = data_of(displacements.amplitude_rad, shared, noise, deviation)
-        state = minimise_cost(model, data, prior, fixed(prior, state), stage.iterations)
-        scale = participation_scale(model, state)
-    return model, state
+def _begun(
+    model: Model, displacements: Displacements, centre_hz: Array
+) -> tuple[Model, Given, State]:
+    """Start from the displacements alone."""
+    noise, drift = noise_of(displacements), shared_drift(displacements)
+    model, state = staged(model, displacements, noise, drift, centre_hz)
+    return model, Given(displacements, drift, noise, _last_prior(model, state, centre_hz)), state
 
 
 def _again(
-    model: Model, known: ModalFit, displacements: Displacements, drift: FieldDrift
-) -> tuple[Model, State]:
+    model: Model, known: ModalFit, displacements: Displacements, centre_hz: Array
+) -> tuple[Model, Given, State]:
     """Start from known modes: only the drive of every hologram is fitted to the displacements.
 
     What is out of phase belongs to these modes; other parameters of the light do not.
     """
+    noise, drift = noise_of(displacements), shared_drift(displacements)
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
     shared = expected_shared(drift)
     shared[:OUT_OF_PHASE] = known.state.out_of_phase
     state = replace(known.state, log_drive=np.log(drive), shared=shared)
-    return at_level(model, state), state
+    model = at_level(model, state)
+    return model, Given(displacements, drift, noise, _last_prior(model, state, centre_hz)), state
+
+
+def _last_prior(model: Model, state: State, centre_hz: Array) -> Prior:
+    return stage_prior(model, LAST, centre_hz, participation_scale(model, state))
 
 
 def _scatter_of(known: ModalFit) -> Scatter:
     """Return the scatter to start from, if modes are known."""
-    return replace(_FIRST_SCATTER, discrepancy=known.discrepancy, walk=known.field_walk)
+    return replace(FIRST_SCATTER, discrepancy=known.discrepancy, walk=known.field_walk)
 
 
 def _finish(
@@ -459,7 +322,7 @@ def _drive_forms(optima: Sequence[Optimum], weights: Array) -> tuple[DriveForm, 
     return tuple(
         DriveForm(each.model.log_volts, each.model.ripple, float(np.log(weight)))
         for each, weight in order
-        if each is best or weight >= _IMPROBABLE
+        if each is best or weight >= IMPROBABLE
     )
 
 

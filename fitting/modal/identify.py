@@ -14,9 +14,7 @@ from fitting.acoustics.poles import (
     ExcitationPeak,
     find_excitation_peaks,
 )
-from fitting.forward import (
-    ForwardModel,
-)
+from fitting.forward import ForwardModel
 from fitting.fringes.start_frequencies import middling_shapes, start_frequencies
 from fitting.holograms.block_amplitudes import (
     BlockAmplitudes,
@@ -28,12 +26,12 @@ from fitting.holograms.right_fringes.trials import same_fringe
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
 from fitting.holograms.unknown_positions import covariance_by_positions
-from fitting.modal.fit import fit_modes
+from fitting.modal.fit import fit_modes, fit_roughly
 from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import LOSS
 from fitting.names.final_names import final_names
 from fitting.names.naming import ModeNaming, name_modes, reeds_behind
-from fitting.names.places import places_of_modes
+from fitting.names.places import misplaced_hz, places_of_modes
 from fitting.names.reed_posterior import ReedPosterior
 from fitting.resonance import Resonance, peak_response_hz
 from holography.arrays import Array, ComplexArray
@@ -56,9 +54,6 @@ _DEVIATIONS, _WIDEST_CENTS = 5.0, 25.0
 _MOST_SPURIOUS = 0.5
 # Outliers that a fit may have, for example holograms at an acoustic resonance.
 _FEW_OFF = 2
-# A mode is elsewhere than the reed has it if that is farther than the width of a resonance, and
-# than this multiple of the standard error of that place. Chosen: three, usual for normal errors.
-_MISPLACED = 3.0
 # How often displacements are fitted again with the common-mode error that the modes show, and the
 # part of the displacements that it may be: displacements are then linear in it to half its square,
 # 0.05 %, less than shapes leave.
@@ -186,48 +181,53 @@ def _fitted(
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
     reeds = PlausibleReeds.of(reed, series)
     rough = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
-    sweep = finished(_with_modes_in_place(rough, reeds))
+    sweep = finished(rough, *_with_modes_in_place(rough, reeds))
     return joint_fit_of(sweep, naming_of(sweep, reeds))
 
 
-def finished(sweep: MeasuredSweep) -> MeasuredSweep:
-    """Fit modes and drive of a sweep, starting from the frequencies of its rough fit.
+def finished(sweep: MeasuredSweep, *others: MeasuredSweep) -> MeasuredSweep:
+    """Fit modes and drive of a sweep, starting from the frequencies of its rough fits.
 
-    Its other numbers are no start: they may lead to another optimum (decision 0063).
+    Their other numbers are no start: they may lead to another optimum (decision 0063).
     """
-    modal, blocks = sweep.modal, sweep.block_amplitudes
-    start_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))
-    modal = fit_modes(sweep.displacements, sweep.basis, blocks.drive_hz, blocks.volts, start_hz)
+    blocks, basis, displacements = sweep.block_amplitudes, sweep.basis, sweep.displacements
+    starts_hz = [_found_hz(each) for each in (sweep, *others)]
+    modal = fit_modes(displacements, basis, blocks.drive_hz, blocks.volts, *starts_hz)
     # Positions of light within blocks add errors that holograms do not show (decision 0079).
-    at = blocks, sweep.basis, sweep.displacements
-    more = covariance_by_positions(*at, modal.influence)
-    return replace(sweep, modal=modal.with_errors(more))
+    more = covariance_by_positions(blocks, basis, displacements, modal.influence)
+    nearest = min(
+        (sweep, *others), key=lambda each: np.sum(np.abs(np.log(each.modal.hz / modal.hz)))
+    )
+    return replace(nearest, modal=modal.with_errors(more))
 
 
-def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> MeasuredSweep:
+def _found_hz(sweep: MeasuredSweep) -> dict[str, float]:
+    return dict(zip(sweep.modal.names, sweep.modal.hz.tolist(), strict=True))
+
+
+def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> list[MeasuredSweep]:
     """Fit a sweep again from where the reed has modes that a rough fit has put elsewhere.
 
     A start may be nearer to another resonance than to its own. Two modes then share that one, and
     shapes and losses of all others make up for the one that is missing. The reed that the other
-    modes show has it within some cents. The fit that explains more is taken.
+    modes show has it within some cents. Rough fits have no ripple and no lines of the drive, so
+    that they do not show which of both is right.
+
+    Returns
+    -------
+    list of MeasuredSweep
+        Empty if no mode is elsewhere, or if it does not stay where the reed has it.
     """
-    modal, hz = sweep.modal, sweep.block_amplitudes.drive_hz
-    fitted_hz = dict(zip(modal.names, modal.hz.tolist(), strict=True))
-    misplaced = {
-        name: place.hz
-        for name, place in places_of_modes(_reeds_behind(sweep, reeds)).items()
-        if name in fitted_hz
-        and hz[0] < place.hz < hz[-1]
-        and abs(np.log(fitted_hz[name] / place.hz)) > max(LOSS, _MISPLACED * place.error)
-    }
+    hz, fitted_hz = sweep.block_amplitudes.drive_hz, _found_hz(sweep)
+    misplaced = misplaced_hz(places_of_modes(_reeds_behind(sweep, reeds)), fitted_hz, hz)
     if not misplaced:
-        return sweep
-    start_hz = fitted_hz | misplaced
-    volts = sweep.block_amplitudes.volts
-    again = fit_modes(sweep.displacements, sweep.basis, hz, volts, start_hz, rough=True)
-    if again.discrepancy >= modal.discrepancy:
-        return sweep
-    return replace(sweep, modal=again, start_hz=start_hz)
+        return []
+    start_hz, volts = fitted_hz | misplaced, sweep.block_amplitudes.volts
+    again = fit_roughly(sweep.displacements, sweep.basis, hz, volts, start_hz)
+    moved = np.abs(np.log(again.hz / sweep.modal.hz)) / _CENT
+    if np.all(moved < sweep.modal.error_cents):
+        return []
+    return [replace(sweep, modal=again, start_hz=start_hz)]
 
 
 def naming_of(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, ModeNaming]:
@@ -269,7 +269,7 @@ def modes_in_turns(
         Start frequency of each mode, by name.
     """
     same = basis, block_amplitudes.drive_hz, block_amplitudes.volts, dict(start_hz)
-    modal = fit_modes(displacements, *same, rough=True)
+    modal = fit_roughly(displacements, *same)
     tried, moved = np.zeros_like(modal.off), False
     for turn in range(_MOST_TURNS):
         few_off = np.count_nonzero(modal.off) <= _FEW_OFF
@@ -286,7 +286,7 @@ def modes_in_turns(
         moved = not np.all(
             same_fringe(before.amplitude_rad[tried], displacements.amplitude_rad[tried])
         )
-        modal = fit_modes(displacements, *same, modal if few_off else None, rough=True)
+        modal = fit_roughly(displacements, *same, modal if few_off else None)
     return MeasuredSweep(block_amplitudes, basis, displacements, modal, start_hz)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import theilslopes
 
-from fitting.modal.drive_prior import DriveForm
+from fitting.modal.drive.prior import DriveForm
 from fitting.modal.model import State
 from fitting.modal.posterior import ResonantDisplacements
 from holography.arrays import Array, ComplexArray

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import jv
 
-from fitting.modal.drive_prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
+from fitting.modal.drive.prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
 from holography.arrays import Array, ComplexArray
 from physics.parameters.chamber import Chamber
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.holograms.linearisation import triangle
-from fitting.modal.drive_prior import DrivePrior
+from fitting.modal.drive.prior import DrivePrior
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.model import (
     OUT_OF_PHASE,

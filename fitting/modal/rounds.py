@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import softmax
 
 from fitting.holograms.solved_sweep import Displacements
-from fitting.modal.drive_prior import (
+from fitting.modal.drive.prior import (
     FoundRipple,
     KnownMagnitude,
     found_ripple,
@@ -183,6 +183,29 @@ def one_round(
         drift=drift,
         noise=inflated(noise, whitened_residual),
     )
+
+
+def in_rounds(
+    model: Model,
+    given: Given,
+    state: State,
+    scatter: Scatter,
+    count: int,
+    iterations: int = LAST.iterations,
+) -> tuple[Round, Given]:
+    """Go through some rounds, each with the scatter and the outliers of the one before.
+
+    Returns
+    -------
+    Round
+        The last one.
+    Given
+        With the outliers of that.
+    """
+    for _ in range(count):
+        end = one_round(model, given, state, scatter, iterations)
+        state, given, scatter = end.state, replace(given, noise=end.noise), end.next_scatter
+    return end, given
 
 
 def shared_at(model: Model, given: Given, state: State, walk: float) -> SharedError:

@@ -17,7 +17,7 @@ from fitting.acoustics.poles import (
     lines_of_drive,
     log_gain,
 )
-from fitting.modal.drive_prior import quiet_ripple
+from fitting.modal.drive.prior import quiet_ripple
 from physics.drive import resonance_gain
 from physics.parameters.drive import AcousticResonance
 from tests.fitting.modal.test_fit import DRIVE_HZ as PLANTED_HZ

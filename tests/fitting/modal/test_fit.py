@@ -10,7 +10,7 @@ from fitting.errors import FitError
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
-from fitting.modal.drive_prior import HELD_LEVEL, DriveForm, quiet_ripple, smooth_ripple
+from fitting.modal.drive.prior import HELD_LEVEL, DriveForm, quiet_ripple, smooth_ripple
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.first_state import at_level
 from fitting.modal.fit import (
@@ -19,6 +19,7 @@ from fitting.modal.fit import (
     _model,
     fit_modes,
     fit_modes_with_known_drive,
+    fit_roughly,
 )
 from fitting.modal.model import (
     DRIVE_DOF,
@@ -632,14 +633,28 @@ def test_first_rounds_count_as_one_what_shows_one_mode(sweep, monkeypatch):
         scatters.append(scatter)
         return one_round(model, given, state, scatter, *steps)
 
-    monkeypatch.setattr("fitting.modal.fit.one_round", watched)
+    monkeypatch.setattr("fitting.modal.rounds.one_round", watched)
     given = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz
-    known = fit_modes(*given, rough=True)
+    known = fit_roughly(*given)
     again = len(scatters)
-    fit_modes(*given, known, rough=True)
+    fit_roughly(*given, known)
     holograms = 2 * 1200 * np.log2(1 + 0.03) / 25
     for first in (scatters[0], scatters[again]):
         assert first.sharing == pytest.approx(holograms, abs=0.2)
+
+
+@pytest.mark.parametrize("right_first", [True, False])
+def test_of_several_starts_the_end_that_explains_more_is_taken(sweep, right_first):
+    given = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts
+    name = sweep.basis.names[1]
+    # From between other modes it does not come back.
+    wrong = sweep.start_hz | {name: sweep.start_hz[name] * 1.5}
+    alone = fit_modes(*given, wrong)
+    assert np.abs(cents(alone.hz, sweep.hz[: len(alone.hz)])).max() > 20
+    starts = (sweep.start_hz, wrong) if right_first else (wrong, sweep.start_hz)
+    both, right = fit_modes(*given, *starts), sweep.fit()
+    assert cents(both.hz, right.hz) == pytest.approx(0, abs=0.05)
+    assert both.error_cents == pytest.approx(right.error_cents, rel=0.05)
 
 
 # --- Invariance --------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from scipy import linalg
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import _COMPLIANCE_M_PA, _loss_mixing, _yielding, shape_basis
 from fitting.modal.field_drift import FIRST_WALK
-from fitting.modal.fit import _again, _model, fit_modes
+from fitting.modal.fit import _again, _model, fit_roughly
 from fitting.modal.identify import MeasuredSweep, finished
 from fitting.modal.out_of_phase import shared_drift, sound_between_modes, with_out_of_phase
 from fitting.modal.rounds import Optimum, Scatter, one_round
@@ -117,8 +117,8 @@ def test_losses_are_right_where_modes_are_out_of_phase(seed, cause):
 def test_a_known_fit_starts_with_what_its_modes_are_out_of_phase_by():
     sweep = out_of_phase(2)
     found, starts = sweep.fit(), dict(zip(NAMES[:5], MODE_HZ[:5].tolist(), strict=True))
-    model, _ = _model(sweep.basis, DRIVE_HZ, sweep.volts, starts)
-    _, state = _again(model, found, sweep.displacements, shared_drift(sweep.displacements))
+    model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, starts)
+    _, _, state = _again(model, found, sweep.displacements, centre_hz)
     assert found.state.out_of_phase[0] > 0.5 * DIFFERENCE
     assert state.out_of_phase.tolist() == found.state.out_of_phase.tolist()
 
@@ -127,7 +127,7 @@ def test_the_last_fit_does_not_depend_on_other_numbers_of_a_rough_one():
     sweep = out_of_phase(2)
     starts = dict(zip(NAMES[:5], MODE_HZ[:5].tolist(), strict=True))
     asked = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts, starts
-    rough = fit_modes(*asked, rough=True)
+    rough = fit_roughly(*asked)
     blocks = SimpleNamespace(drive_hz=DRIVE_HZ, volts=sweep.volts)
     given = MeasuredSweep(blocks, sweep.basis, sweep.displacements, rough, starts)
     other = replace(rough.state, x=-rough.state.x, shared=-rough.state.shared)

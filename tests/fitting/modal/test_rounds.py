@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from fitting.holograms.object_field import CommonModeError
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state, participation_scale
-from fitting.modal.fit import Search, _compared, _model
+from fitting.modal.fit import _model
 from fitting.modal.model import (
     OUT_OF_PHASE,
     TAIL_TERMS,
@@ -35,6 +35,7 @@ from fitting.modal.rounds import (
     probabilities,
     shared_at,
 )
+from fitting.modal.search import Search, _compared
 from tests.fitting.modal.test_fit import DRIVE_HZ, FUNCTIONS, planted
 from tests.numbers import complex_normal
 

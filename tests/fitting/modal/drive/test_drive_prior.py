@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from fitting.modal.drive_prior import (
+from fitting.modal.drive.prior import (
     HELD_LEVEL,
     LEAST_GAIN,
     DrivePrior,

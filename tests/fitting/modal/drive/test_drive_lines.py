@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 
 from fitting.acoustics.poles import DriveLines
-from fitting.modal import drive_lines
-from fitting.modal import fit as modal_fit
-from fitting.modal.drive_lines import (
+from fitting.modal import fit, search
+from fitting.modal.drive import lines as drive_lines
+from fitting.modal.drive.lines import (
     TakenMode,
     _may_be_a_mode,
     away_from,
     expecting,
+    explained_by_lines,
     taken_modes,
     with_lines,
 )
-from fitting.modal.drive_prior import quiet_ripple
-from fitting.modal.fit import _staged
+from fitting.modal.drive.prior import quiet_ripple
+from fitting.modal.first_state import staged
 from fitting.modal.model import Model
 from fitting.modal.rounds import with_ripple
 from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, cents, planted
@@ -86,10 +87,10 @@ def test_the_likelier_explanation_is_taken_at_one_scatter(monkeypatch, better):
         return replace(found, log_evidence=evidence[number], logs=found.logs + shift[number])
 
     once = iter([[there], []])
-    monkeypatch.setattr(modal_fit, "with_ripple", counted)
+    monkeypatch.setattr(search, "with_ripple", counted)
     # Calls are counted in this process.
-    monkeypatch.setattr(modal_fit, "map_processes", map)
-    monkeypatch.setattr(modal_fit, "taken_modes", lambda *_: next(once))
+    monkeypatch.setattr(search, "map_processes", map)
+    monkeypatch.setattr(search, "taken_modes", lambda *_: next(once))
     found = sweep.fit()
     assert len(seen) == 6
     assert seen[2] is seen[3] is seen[4] is seen[5]
@@ -113,10 +114,10 @@ def test_the_next_line_is_judged_by_the_prior_of_the_likelier_explanation(monkey
         return found
 
     modes = iter([[TakenMode(m, float(np.log(sweep.hz[m])), -3.5)] for m in (1, 2)])
-    monkeypatch.setattr(modal_fit, "with_ripple", counted)
+    monkeypatch.setattr(search, "with_ripple", counted)
     # Calls are counted in this process.
-    monkeypatch.setattr(modal_fit, "map_processes", map)
-    monkeypatch.setattr(modal_fit, "taken_modes", lambda *_: next(modes, []))
+    monkeypatch.setattr(search, "map_processes", map)
+    monkeypatch.setattr(search, "taken_modes", lambda *_: next(modes, []))
     sweep.fit()
     assert len(seen) == 10
     assert seen[9].noise is (seen[4] if better else seen[5]).noise
@@ -140,13 +141,14 @@ def test_a_mode_in_the_notch_of_a_chamber_is_where_it_is(monkeypatch):
     expected, wrong = [], {True: [], False: []}
 
     def seen(at, given, bare):
-        expected.append(with_lines(at, given, bare))
-        return expected[-1]
+        found = explained_by_lines(at, given, bare)
+        expected.extend(found[:1])
+        return found
 
     for seed in (6, 7, 8):
         sweep, pole_hz = in_a_notch(seed)
         for lines in (True, False):
-            monkeypatch.setattr(modal_fit, "with_lines", seen if lines else lambda *_: None)
+            monkeypatch.setattr(search, "explained_by_lines", seen if lines else lambda *_: [])
             found = sweep.fit()
             off = np.log(np.abs(found.drive / sweep.drive))[notch]
             wrong[lines].append(np.std(off))
@@ -251,6 +253,36 @@ def test_a_fit_that_has_expected_what_may_be_a_mode_is_not_returned(in_turns):
     assert found is fits[1]
 
 
+@pytest.mark.parametrize(("mode_hz", "searches"), [
+    (4700.0, [[[0.3, 0.01]], [[0.3]]]), (2000.0, [[[0.3, 0.01]]]),
+])  # fmt: skip
+def test_a_low_line_next_to_a_mode_is_expected_once_and_left_out_once(
+    monkeypatch, mode_hz, searches
+):
+    """The second line is some 2 dB high, at 4700 Hz."""
+    apart, low = lines_of(0.3, pole_hz=9000.0), lines_of(0.01)
+    lines = DriveLines(np.concatenate([apart.parameters, low.parameters]), 1e-4 * np.eye(8))
+    asked = []
+
+    def fit(lines, *_):
+        asked.append(lines.parameters[:, 2].tolist())
+        return fitted_once(mode_hz=mode_hz)
+
+    monkeypatch.setattr(drive_lines, "_lines", lambda *_: lines)
+    monkeypatch.setattr(drive_lines, "smooth_ripple", lambda _: None)
+    monkeypatch.setattr(drive_lines, "expecting", lambda _, lines: lines)
+    monkeypatch.setattr(drive_lines, "with_ripple", fit)
+    found = explained_by_lines(fitted_once(mode_hz=mode_hz), None, Bare())
+    assert [[each] for each in asked] == searches
+    assert len(found) == len(searches)
+
+
+def test_without_lines_there_is_nothing_to_explain_by(monkeypatch):
+    monkeypatch.setattr(drive_lines, "_lines", lambda *_: lines_of())
+    monkeypatch.setattr(drive_lines, "smooth_ripple", lambda _: None)
+    assert explained_by_lines(fitted_once(), None, Bare()) == []
+
+
 @pytest.mark.parametrize(("mode_hz", "strength", "may_be"), [
     (4310.0, 0.6, True), (4310.0, 0.05, False), (4700.0, 0.6, False),
 ])  # fmt: skip
@@ -260,7 +292,7 @@ def test_a_high_line_next_to_a_mode_is_not_expected_of_the_drive(mode_hz, streng
 
 
 def test_a_search_for_a_mode_begins_from_distant_lines_and_then_has_none(monkeypatch):
-    sweep, staged, searched = planted(), [], []
+    sweep, begun, searched = planted(), [], []
     first_hz = sweep.hz[0]
     # One line is next to a mode, the other lies between the second and the third.
     distant_hz = np.sqrt(sweep.hz[1] * sweep.hz[2])
@@ -268,25 +300,26 @@ def test_a_search_for_a_mode_begins_from_distant_lines_and_then_has_none(monkeyp
     lines = DriveLines(np.array(numbers), 1e-4 * np.eye(8))
 
     def seen_staged(model, *others):
-        staged.append(model.log_volts)
-        return _staged(model, *others)
+        begun.append(model.log_volts)
+        return staged(model, *others)
 
     def seen_search(model, given, state, scatter):
         searched.append(model.log_volts)
         return with_ripple(model, given, state, scatter)
 
     once = iter([[TakenMode(0, float(np.log(first_hz)), -3.5)], []])
-    monkeypatch.setattr(modal_fit, "_staged", seen_staged)
-    monkeypatch.setattr(modal_fit, "with_ripple", seen_search)
-    monkeypatch.setattr(modal_fit, "with_lines", lambda *_: None)
-    monkeypatch.setattr(modal_fit, "drive_lines", lambda *_: lines)
-    monkeypatch.setattr(modal_fit, "map_processes", map)
-    monkeypatch.setattr(modal_fit, "taken_modes", lambda *_: next(once))
+    for module in (fit, search):
+        monkeypatch.setattr(module, "staged", seen_staged)
+    monkeypatch.setattr(search, "with_ripple", seen_search)
+    monkeypatch.setattr(search, "explained_by_lines", lambda *_: [])
+    monkeypatch.setattr(search, "drive_lines", lambda *_: lines)
+    monkeypatch.setattr(search, "map_processes", map)
+    monkeypatch.setattr(search, "taken_modes", lambda *_: next(once))
     sweep.fit()
     expected = np.diff(log_of_line(distant_hz, DRIVE_HZ))
-    assert np.diff(staged[1] - staged[0]) == pytest.approx(expected, abs=1e-12)
+    assert np.diff(begun[1] - begun[0]) == pytest.approx(expected, abs=1e-12)
     assert len(searched) == 6
-    assert np.ptp(np.array(searched) - staged[0], axis=1) == pytest.approx(0, abs=1e-12)
+    assert np.ptp(np.array(searched) - begun[0], axis=1) == pytest.approx(0, abs=1e-12)
 
 
 def test_lines_next_to_a_mode_are_left_out_and_the_others_are_expected():

@@ -1,6 +1,6 @@
 """Lines of the drive as poles with notches: what a chamber does, in four numbers each.
 
-The finer structure of `fitting.modal.drive_prior` may follow a pole, but it is as rough on both
+The finer structure of `fitting.modal.drive.prior` may follow a pole, but it is as rough on both
 sides, and a notch is sharper than it is. Where a mode lies in a notch, it then takes a part of it.
 A resonant path in parallel to the direct one has pole and notch at once: its log gain is added to
 what is expected of the drive, with the covariance that the errors of its numbers have there
@@ -19,7 +19,7 @@ from fitting.acoustics.poles import (
     lines_of_drive,
     log_gain,
 )
-from fitting.modal.drive_prior import smooth_ripple
+from fitting.modal.drive.prior import smooth_ripple
 from fitting.modal.model import Model
 from fitting.modal.rounds import Given, Optimum, likeliest, with_ripple
 from holography.arrays import Array
@@ -34,7 +34,30 @@ _SMALL_PART, _MOST_TURNS = 0.3, 5
 _CENT = float(np.log(2) / 1200)
 
 
-def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
+def explained_by_lines(at: Optimum, given: Given, bare: Model) -> list[Optimum]:
+    """Explain the drive of an optimum by its lines, with and without those next to modes.
+
+    A mode that is not quite in its place leaves a low line there, which then takes its part. Which
+    of both explanations is right is seen only when both have come to rest (decision 0082).
+
+    Parameters
+    ----------
+    at, given, bare
+        See `with_lines`.
+
+    Returns
+    -------
+    list of Optimum
+        Empty if there are no lines.
+    """
+    lines, limits = drive_lines(at, bare), [MOST_DB, -np.inf]
+    counts = [len(_apart_from_modes(lines, at, limit).parameters) for limit in limits]
+    different = limits if counts[0] > counts[1] else limits[:1]
+    found = [with_lines(at, given, bare, limit) for limit in different]
+    return [each for each in found if each is not None]
+
+
+def with_lines(at: Optimum, given: Given, bare: Model, most_db: float = MOST_DB) -> Optimum | None:
     """Explain the drive of an optimum by its lines, and fit again; None if all may be modes.
 
     A mode next to a line has taken a part of it. With what is found of the line, the mode moves to
@@ -46,6 +69,8 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
     given : Given
     bare : Model
         Without any line.
+    most_db : float, optional
+        Lines next to a mode that are higher are taken for that mode.
 
     Returns
     -------
@@ -54,27 +79,28 @@ def with_lines(at: Optimum, given: Given, bare: Model) -> Optimum | None:
         rest, it is the likeliest of all turns.
     """
     start, found = replace(bare, ripple=smooth_ripple(at.model.ripple)), list[Optimum]()
-    lines, now = _apart_from_modes(drive_lines(at, bare), at), at
+    lines, now = _apart_from_modes(drive_lines(at, bare), at, most_db), at
     for turn in range(1, _MOST_TURNS + 1):
         if not lines.parameters.size:
             return None
         now = with_ripple(expecting(start, lines), given, now.end.state, at.end.scatter)
         # With its modes where they are now, a line that it has expected may be one of them.
-        if len(_apart_from_modes(lines, now).parameters) == len(lines.parameters):
+        if len(_apart_from_modes(lines, now, most_db).parameters) == len(lines.parameters):
             found.append(now)
         if turn == _MOST_TURNS:
             break
         # The drive of this optimum seems surer than it is, as lines were expected in it.
-        before, lines = lines, _apart_from_modes(_lines(now, bare, at.magnitude_covariance), now)
+        shown = _lines(now, bare, at.magnitude_covariance)
+        before, lines = lines, _apart_from_modes(shown, now, most_db)
         if _agree(before, lines):
             return now
     return likeliest(found) if found else None
 
 
-def _apart_from_modes(lines: DriveLines, at: Optimum) -> DriveLines:
-    """Leave out lines that may be modes."""
+def _apart_from_modes(lines: DriveLines, at: Optimum, most_db: float) -> DriveLines:
+    """Leave out lines next to modes that are higher than some dB."""
     modes, losses = at.logs.reshape(2, -1)
-    own = [_may_be_a_mode(line, modes, np.exp(losses)) for line in lines.parameters]
+    own = [_may_be_a_mode(line, modes, np.exp(losses), most_db) for line in lines.parameters]
     return lines.only(~np.array(own, bool))
 
 
@@ -154,10 +180,12 @@ def taken_modes(at: Optimum, lines: DriveLines) -> list[TakenMode]:
     return list(found.values())
 
 
-def _may_be_a_mode(line: Array, log_hz: Array, width: Array | float) -> bool:
+def _may_be_a_mode(
+    line: Array, log_hz: Array, width: Array | float, most_db: float = MOST_DB
+) -> bool:
     """Whether a line (4,) is suspiciously high, and next to a mode, at log frequencies (n,).
 
     `width` (n,), in log frequency, is how far a line may be from a mode.
     """
     near = np.any(np.abs(log_hz - line[0]) < width)
-    return bool(near and height_db(line) > MOST_DB)
+    return bool(near and height_db(line) > most_db)

@@ -51,7 +51,7 @@ from fitting.modal.rounds import (
     one_round,
     probabilities,
 )
-from fitting.modal.search import IMPROBABLE, ROUNDS, searched, weighed
+from fitting.modal.search import IMPROBABLE, ROUNDS, searched
 from holography.arrays import Array
 
 # Participations are polynomials of frequency of this degree: the shape of the pressure on the reed
@@ -71,7 +71,6 @@ def fit_modes(
     drive_hz: Array,
     volts: Array,
     start_hz: dict[str, float],
-    *others_hz: dict[str, float],
 ) -> ModalFit:
     """Fit the joint model of a sweep.
 
@@ -85,20 +84,16 @@ def fit_modes(
     start_hz : dict
         Start frequency of each mode, by name, for all modes of the basis with a resonance within
         the sweep.
-    *others_hz : dict
-        Other starts for the same modes. What fits from all starts have found is compared.
 
     Returns
     -------
     ModalFit
     """
-    searches = []
-    for each_hz in (start_hz, *others_hz):
-        model, centre_hz = _model(basis, drive_hz, volts, each_hz)
-        model, given, state = _begun(model, displacements, centre_hz)
-        end, given = in_rounds(model, given, state, FIRST_SCATTER, ROUNDS)
-        searches.append(searched(model, given, end.state, end.next_scatter, centre_hz))
-    return _finish(displacements, basis.names, weighed(searches).optima)
+    model, centre_hz = _model(basis, drive_hz, volts, start_hz)
+    model, given, state = _begun(model, displacements, centre_hz)
+    end, given = in_rounds(model, given, state, FIRST_SCATTER, ROUNDS)
+    optima = searched(model, given, end.state, end.next_scatter, centre_hz).optima
+    return _finish(displacements, basis.names, optima)
 
 
 def fit_roughly(

@@ -181,53 +181,42 @@ def _fitted(
     start_hz = start_frequencies(block_amplitudes, basis, displacements, reed, model, series)
     reeds = PlausibleReeds.of(reed, series)
     rough = modes_in_turns(block_amplitudes, basis, displacements, start_hz)
-    sweep = finished(rough, *_with_modes_in_place(rough, reeds))
+    sweep = finished(_with_modes_in_place(rough, reeds))
     return joint_fit_of(sweep, naming_of(sweep, reeds))
 
 
-def finished(sweep: MeasuredSweep, *others: MeasuredSweep) -> MeasuredSweep:
-    """Fit modes and drive of a sweep, starting from the frequencies of its rough fits.
+def finished(sweep: MeasuredSweep) -> MeasuredSweep:
+    """Fit modes and drive of a sweep, starting from the frequencies of its rough fit.
 
-    Their other numbers are no start: they may lead to another optimum (decision 0063).
+    Its other numbers are no start: they may lead to another optimum (decision 0063).
     """
     blocks, basis, displacements = sweep.block_amplitudes, sweep.basis, sweep.displacements
-    starts_hz = [_found_hz(each) for each in (sweep, *others)]
-    modal = fit_modes(displacements, basis, blocks.drive_hz, blocks.volts, *starts_hz)
+    modal = fit_modes(displacements, basis, blocks.drive_hz, blocks.volts, _found_hz(sweep))
     # Positions of light within blocks add errors that holograms do not show (decision 0079).
     more = covariance_by_positions(blocks, basis, displacements, modal.influence)
-    nearest = min(
-        (sweep, *others), key=lambda each: np.sum(np.abs(np.log(each.modal.hz / modal.hz)))
-    )
-    return replace(nearest, modal=modal.with_errors(more))
+    return replace(sweep, modal=modal.with_errors(more))
 
 
 def _found_hz(sweep: MeasuredSweep) -> dict[str, float]:
     return dict(zip(sweep.modal.names, sweep.modal.hz.tolist(), strict=True))
 
 
-def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> list[MeasuredSweep]:
+def _with_modes_in_place(sweep: MeasuredSweep, reeds: PlausibleReeds) -> MeasuredSweep:
     """Fit a sweep again from where the reed has modes that a rough fit has put elsewhere.
 
     A start may be nearer to another resonance than to its own. Two modes then share that one, and
     shapes and losses of all others make up for the one that is missing. The reed that the other
-    modes show has it within some cents. Rough fits have no ripple and no lines of the drive, so
-    that they do not show which of both is right.
-
-    Returns
-    -------
-    list of MeasuredSweep
-        Empty if no mode is elsewhere, or if it does not stay where the reed has it.
+    modes show has it within some cents. The fit that explains more is taken.
     """
     hz, fitted_hz = sweep.block_amplitudes.drive_hz, _found_hz(sweep)
     misplaced = misplaced_hz(places_of_modes(_reeds_behind(sweep, reeds)), fitted_hz, hz)
     if not misplaced:
-        return []
+        return sweep
     start_hz, volts = fitted_hz | misplaced, sweep.block_amplitudes.volts
     again = fit_roughly(sweep.displacements, sweep.basis, hz, volts, start_hz)
-    moved = np.abs(np.log(again.hz / sweep.modal.hz)) / _CENT
-    if np.all(moved < sweep.modal.error_cents):
-        return []
-    return [replace(sweep, modal=again, start_hz=start_hz)]
+    if again.discrepancy >= sweep.modal.discrepancy:
+        return sweep
+    return replace(sweep, modal=again, start_hz=start_hz)
 
 
 def naming_of(sweep: MeasuredSweep, reeds: PlausibleReeds) -> Mapping[str, ModeNaming]:

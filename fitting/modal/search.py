@@ -1,10 +1,9 @@
 """Search for all explanations of a sweep that its holograms allow, and weigh them.
 
-What a mode explains, a ripple or a line of the drive may explain, too, and fits from different
-starts may end in different optima. All are compared by their evidence, with one scatter.
+What a mode explains, a ripple or a line of the drive may explain, too. All explanations are
+compared by their evidence, with one scatter.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,30 +79,6 @@ def searched(
     return _challenged(found, centre_hz)
 
 
-def weighed(searches: Sequence[Search]) -> Search:
-    """Return one search with the optima of all that are not improbable.
-
-    All are compared with the largest scatter. With a smaller one, the explanation that has left it
-    would seem surer than it is.
-    """
-    first, *others = searches
-    for other in others:
-        scatters = [likeliest(each.optima).end.scatter for each in (first, other)]
-        first = _weighed(first, other, max(scatters, key=lambda each: each.discrepancy))
-    return first
-
-
-def _weighed(search: Search, other: Search, scatter: Scatter) -> Search:
-    """Return a search with the optima of another one, too, unless these are improbable."""
-    now, before = _compared(other, scatter), _compared(search, scatter)
-    both = [*now.optima, *before.optima]
-    if np.sum(probabilities(both)[: len(now.optima)]) < IMPROBABLE:
-        return search
-    # Later comparisons need the prior and the noise of the likeliest.
-    likelier = max(now, before, key=lambda each: likeliest(each.optima).log_evidence)
-    return replace(likelier, optima=both)
-
-
 def _with_lines(search: Search) -> Search:
     """Try to explain the drive by its lines, too."""
     explained = explained_by_lines(likeliest(search.optima), search.given, search.bare)
@@ -160,17 +135,30 @@ def _with_mode_for_line(search: Search, taken: TakenMode, centre_hz: Array) -> S
     return _weighed(search, other, scatter)
 
 
-def _compared(search: Search, scatter: Scatter) -> Search:
-    """Find the likeliest optimum again, with lines too, such that its evidence can be compared.
+def _weighed(search: Search, other: Search, scatter: Scatter) -> Search:
+    """Return a search with the optima of another one, too, unless these are improbable."""
+    now, before = _compared(other, scatter), _compared(search, scatter)
+    both = [*now.optima, *before.optima]
+    if np.sum(probabilities(both)[: len(now.optima)]) < IMPROBABLE:
+        return search
+    # Later comparisons need the prior and the noise of the likeliest.
+    likelier = max(now, before, key=lambda each: likeliest(each.optima).log_evidence)
+    return replace(likelier, optima=both)
 
-    Participations are expected as large as it has them. Some 250 numbers have this prior: with that
-    of a start, whose drive is louder or softer, the evidence differed by 130 (decision 0056).
+
+def _compared(search: Search, scatter: Scatter) -> Search:
+    """Find the likeliest optimum again, such that its evidence can be compared.
+
+    Lines of the drive are looked for if it expects none yet. Participations are expected as large
+    as it has them: some 250 numbers have this prior, and with that of a start, whose drive is
+    louder or softer, the evidence differed by 130 (decision 0056).
     """
     found = likeliest(search.optima)
     scale = participation_scale(found.model, found.end.state)
     given = replace(search.given, prior=rescaled(search.given.prior, found.model, LAST, scale))
     again = with_ripple(found.model, given, found.end.state, scatter)
-    return _with_lines(Search(search.bare, given, [again]))
+    compared = Search(search.bare, given, [again])
+    return compared if found.model.line_weight else _with_lines(compared)
 
 
 def _held_at(model: Model, prior: Prior, state: State, taken: TakenMode) -> tuple[Prior, State]:

@@ -643,20 +643,6 @@ def test_first_rounds_count_as_one_what_shows_one_mode(sweep, monkeypatch):
         assert first.sharing == pytest.approx(holograms, abs=0.2)
 
 
-@pytest.mark.parametrize("right_first", [True, False])
-def test_of_several_starts_the_end_that_explains_more_is_taken(sweep, right_first):
-    given = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts
-    name = sweep.basis.names[1]
-    # From between other modes it does not come back.
-    wrong = sweep.start_hz | {name: sweep.start_hz[name] * 1.5}
-    alone = fit_modes(*given, wrong)
-    assert np.abs(cents(alone.hz, sweep.hz[: len(alone.hz)])).max() > 20
-    starts = (sweep.start_hz, wrong) if right_first else (wrong, sweep.start_hz)
-    both, right = fit_modes(*given, *starts), sweep.fit()
-    assert cents(both.hz, right.hz) == pytest.approx(0, abs=0.05)
-    assert both.error_cents == pytest.approx(right.error_cents, rel=0.05)
-
-
 # --- Invariance --------------------------------------------------------------------------------
 
 

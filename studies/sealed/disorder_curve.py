@@ -44,13 +44,18 @@ class CleanBench:
         """Of its folder, and of its answer."""
         return f"{self.amount:g}-{self.number}"
 
+    def recorded_in(self, campaigns: Path) -> Path:
+        """Return the folder of its campaign, which is recorded if it is not there."""
+        campaign = campaigns / self.name
+        if not campaign.exists():
+            recorded(campaign, draw_case("clean", self.amount, _SEED, self.number))
+        return campaign
+
 
 def answered(bench: CleanBench, folder: Path) -> dict[str, Any] | None:
     """Return the answer to a bench, which is recorded if it is not there; None if there is none."""
-    campaign, answers = folder / "campaigns" / bench.name, folder / "answers"
+    campaign, answers = bench.recorded_in(folder / "campaigns"), folder / "answers"
     answers.mkdir(parents=True, exist_ok=True)
-    if not campaign.exists():
-        recorded(campaign, draw_case("clean", bench.amount, _SEED, bench.number))
     kept = answers / f"{bench.name}.json"
     if not kept.exists():
         print(answer(campaign, answers), flush=True)

@@ -231,7 +231,12 @@ def _last_prior(model: Model, state: State, centre_hz: Array) -> Prior:
 
 def _scatter_of(known: ModalFit) -> Scatter:
     """Return the scatter to start from, if modes are known."""
-    return replace(FIRST_SCATTER, discrepancy=known.discrepancy, walk=known.field_walk)
+    return replace(
+        FIRST_SCATTER,
+        discrepancy=known.discrepancy,
+        walk=known.field_walk,
+        mixing=known.mixing_factor,
+    )
 
 
 def _finish(
@@ -275,6 +280,7 @@ def _finish(
         mixing=np.where(mixes, state.x[count:, :count], 0.0),
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
         mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
+        mixing_factor=end.scatter.mixing,
         participation=now.participation[nearest, model.active],
         participation_error=participation_error(model, prior, given_drive, nearest),
         participations=now.participation[:, model.active],

@@ -41,6 +41,8 @@ class ModalFit:
         Coefficient of each shape of the basis in the shape of each of these modes, in addition to
         the shape of the finite elements; its standard error; standard deviation of its prior. 0
         where no mixing is allowed.
+    mixing_factor : float
+        Factor on these, for which mixings are as large as expected.
     participation : (a,) complex
         Participation at the mode's own frequency, per unit of drive.
     participation_error : (a,) float
@@ -88,6 +90,7 @@ class ModalFit:
     mixing: Array
     mixing_error: Array
     mixing_spread: Array
+    mixing_factor: float
     participation: ComplexArray
     participation_error: Array
     participations: ComplexArray

@@ -42,6 +42,8 @@ FIRST_SHARING = 4.0
 # Most turns in which the ripple of the drive is found; they end when no frequency and no loss moves
 # by more than this fraction of its standard error.
 _MOST_RIPPLES, _SETTLED = 8, 0.2
+# Mixings of shapes that count as much as what is expected of them. Chosen: few of several hundred.
+_EXPECTED = 4.0
 # Step of a derivative in standard errors: small enough to be linear, and far above rounding.
 _STEP = 1e-3
 # The normal distribution function of z is the logistic function of this times z, within 0.01
@@ -69,7 +71,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Scatter:
-    """How far displacements scatter around the model.
+    """How far displacements scatter around the model, and shapes around those expected.
 
     Attributes
     ----------
@@ -79,11 +81,14 @@ class Scatter:
         See `fitting.modal.field_drift.shared_error`.
     sharing : float
         Number of neighbouring holograms that have one discrepancy.
+    mixing : float
+        Factor on the prior standard deviations of the mixing of shapes (decision 0083).
     """
 
     discrepancy: float
     walk: float
     sharing: float = 1.0
+    mixing: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,8 @@ def one_round(
 ) -> Round:
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
     displacements, drift, noise = given.displacements, given.drift, given.noise
-    prior, shared = given.prior, shared_at(model, given, state, scatter.walk)
+    prior = _with_mixing(given.prior, len(model.active), scatter.mixing)
+    shared = shared_at(model, given, state, scatter.walk)
     weighing = noise.deviation(scatter.discrepancy, scatter.sharing)
     data = data_of(displacements.amplitude_rad, shared, noise, weighing)
     state = minimise_cost(model, data, prior, fixed(prior, state), iterations)
@@ -178,11 +184,45 @@ def one_round(
             sharing=sharing_holograms(
                 noise, whitened_residual, state.log_drive, scatter.discrepancy
             ),
+            mixing=_found_mixing(given.prior, prior, len(model.active), state, covariance),
         ),
         common_mode_shift=drift.shift(state.shared)[:, OUT_OF_PHASE:],
         drift=drift,
         noise=inflated(noise, whitened_residual),
     )
+
+
+def _with_mixing(prior: Prior, count: int, factor: float) -> Prior:
+    """Multiply the prior standard deviations of the mixing of shapes into `count` modes."""
+    precision = prior.precision.copy()
+    precision[count:, :count] /= factor**2
+    return replace(prior, precision=precision)
+
+
+def _found_mixing(
+    expected: Prior, used: Prior, count: int, state: State, covariance: Array
+) -> float:
+    """Return the factor on what is expected of mixings for which they are as large as they are.
+
+    The evidence is largest where mixings have the mean square of their prior, of those that data
+    determine (D. J. C. MacKay 1992, Neural Computation 4:415). What is expected counts as much as a
+    few.
+
+    Parameters
+    ----------
+    expected, used : Prior
+        What was expected of the mixing of shapes into `count` modes, and what a round had.
+    count : int
+    state : State
+    covariance : (q, q) float
+        Posterior covariance of all free parameters, and more.
+    """
+    mixes = np.zeros(used.free.shape, dtype=bool)
+    mixes[count:, :count] = used.free[count:, :count]
+    open_part = used.precision[used.free] * np.diag(covariance)[: np.count_nonzero(used.free)]
+    determined = np.sum(1 - open_part[mixes[used.free]])
+    square = np.sum(expected.precision[mixes] * state.x[mixes] ** 2)
+    return float(np.sqrt((square + _EXPECTED) / (determined + _EXPECTED)))
 
 
 def in_rounds(

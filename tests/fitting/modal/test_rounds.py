@@ -29,6 +29,9 @@ from fitting.modal.rounds import (
     Given,
     Optimum,
     Scatter,
+    _found_mixing,
+    _with_mixing,
+    in_rounds,
     influence,
     logs_among_free,
     one_round,
@@ -318,3 +321,61 @@ def test_fewer_holograms_than_share_still_have_a_standard_error():
     found = probabilities(explanations(np.zeros(3), np.array([2.0, -3.0, 0.5]), sharing=9.0))
     assert found.sum() == pytest.approx(1)
     assert found[0] > found[1] > 0.2
+
+
+def prior_of(spread):
+    """The prior of 2 modes with 3 other parameters each, and of 4 shapes mixed into them."""
+    precision = np.full((6, 3), 1.0)
+    precision[2:, :2] = spread**-2.0
+    precision[2:, 2] = np.inf
+    return Prior(np.zeros((6, 3)), precision)
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.5])
+def test_mixings_that_data_determine_show_how_large_they_are(factor):
+    rng = np.random.default_rng(5)
+    spread = rng.uniform(0.01, 0.1, (4, 2))
+    prior = prior_of(spread)
+    x = np.zeros((6, 3))
+    # Mean square 1 in units of the prior, and numbers of no matter elsewhere.
+    x[2:, :2] = factor * spread * rng.choice([-1, 1], (4, 2))
+    x[:2] = 7.0
+    free = np.count_nonzero(prior.free)
+    used = _with_mixing(prior, 2, 0.7)
+    known = _found_mixing(prior, used, 2, SimpleNamespace(x=x), 1e-12 * np.eye(free + 5))
+    assert known == pytest.approx(np.sqrt((8 * factor**2 + 4) / (8 + 4)))
+
+
+def test_mixings_of_which_nothing_is_known_stay_as_expected():
+    prior = prior_of(np.full((4, 2), 0.05))
+    for factor in (0.4, 1.0, 3.0):
+        used = _with_mixing(prior, 2, factor)
+        # A posterior that is the prior: the expectations are 0, and say nothing.
+        covariance = np.diag(1 / used.precision[used.free])
+        found = _found_mixing(prior, used, 2, SimpleNamespace(x=np.zeros((6, 3))), covariance)
+        assert found == pytest.approx(1.0)
+
+
+def test_the_factor_changes_the_prior_of_mixings_only(sweep):
+    model, given, state = begun(sweep)
+    count = len(model.active)
+    ends = [one_round(model, given, state, replace(NOISE_ALONE, mixing=f)) for f in (1.0, 2.0)]
+    one, two = (end.prior.precision for end in ends)
+    expected = np.ones(one.shape)
+    expected[count:, :count] = 4.0
+    free = ends[0].prior.free
+    assert one[free] / two[free] == pytest.approx(expected[free])
+    assert np.array_equal(ends[1].prior.free, free)
+
+
+@pytest.mark.parametrize(("mixing", "expected"), [(0.1, 0.1 / 3**0.5), (4.0, 4.0 / 3**0.5)])
+def test_mixings_are_found_as_large_as_they_are(mixing, expected):
+    """Those of these reeds are uniform, between as much and as little as the factor says."""
+    factors = []
+    for seed in range(2):
+        model, given, state = begun(planted(seed, mixing=mixing))
+        end, _ = in_rounds(model, given, state, Scatter(0.02, FIRST_WALK), 4)
+        factors.append(end.next_scatter.mixing)
+    # What is expected beforehand counts as four of some twenty mixings.
+    most = np.sqrt((20 * expected**2 + 4) / 24)
+    assert np.mean(factors) == pytest.approx(most, rel=0.4)

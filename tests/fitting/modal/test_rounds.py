@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fitting.holograms.object_field import CommonModeError
+from fitting.modal import search
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.fit import _model
@@ -100,6 +101,24 @@ def test_the_scale_of_a_start_does_not_change_what_is_compared(sweep):
     assert before[0] - before[1] > 30
     # Weak modes keep a part of it.
     assert abs(after[0] - after[1]) < 0.2 * (before[0] - before[1])
+
+
+@pytest.mark.parametrize(("weight", "looked"), [(0.0, 1), (-19.0, 0)])
+def test_lines_are_looked_for_only_where_none_is_expected_yet(sweep, monkeypatch, weight, looked):
+    model, given, state = begun(sweep)
+    found = Optimum.of(model, one_round(model, given, state, NOISE_ALONE, 3))
+    found = replace(found, model=replace(model, line_weight=weight))
+    asked = []
+
+    def explained(at, *_):
+        asked.append(at)
+        return [at]
+
+    monkeypatch.setattr(search, "explained_by_lines", explained)
+    optima = _compared(Search(model, given, [found]), NOISE_ALONE).optima
+    assert len(asked) == looked
+    assert len(optima) == 1 + looked
+    assert optima[0].model.line_weight == weight
 
 
 def test_another_scale_changes_the_prior_of_participations_only(sweep):

@@ -29,7 +29,7 @@ DRIVE_DOF = 4.0
 # Prior of a loss factor: within a factor of 1.5.
 _LOSS_SPREAD = 0.4
 # Shapes mix as if stiffness and mass were wrong by this fraction; largest and least coefficient.
-# Chosen: as thickness off by 10 µm does. How much they mix is found in each fit (decision 0083).
+# Chosen: only a start. How much they mix is found in each fit (decision 0083).
 _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
 # Prior of participations: within 3 times the value of the stage before.
 _SCALE = 3.0

@@ -42,7 +42,7 @@ class ModalFit:
         the shape of the finite elements; its standard error; standard deviation of its prior. 0
         where no mixing is allowed.
     mixing_factor : float
-        Factor on these, for which mixings are as large as expected.
+        By which those priors are wider than a perturbation of usual size gives (decision 0083).
     participation : (a,) complex
         Participation at the mode's own frequency, per unit of drive.
     participation_error : (a,) float

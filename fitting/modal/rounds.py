@@ -235,6 +235,19 @@ def in_rounds(
 ) -> tuple[Round, Given]:
     """Go through some rounds, each with the scatter and the outliers of the one before.
 
+    Parameters
+    ----------
+    model : Model
+    given : Given
+    state : State
+        Start.
+    scatter : Scatter
+        Of the first round.
+    count : int
+        Number of rounds, at least 1.
+    iterations : int, optional
+        Largest number of Levenberg-Marquardt steps in each.
+
     Returns
     -------
     Round

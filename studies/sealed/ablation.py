@@ -33,7 +33,7 @@ from physics.reed.reduced.stored import reduced_reed
 from runs.reader import Run
 from studies.sealed.disorder_curve import CleanBench
 
-# Standard deviation of the log of a factor on errors that count as known.
+# Standard deviation of the log of a factor on errors that count as known. Chosen: a per cent.
 _CERTAIN = 0.01
 
 

@@ -17,6 +17,7 @@ from fitting.modal.fit import (
     _drive_forms,
     _mixture,
     _model,
+    _scatter_of,
     fit_modes,
     fit_modes_with_known_drive,
     fit_roughly,
@@ -641,6 +642,23 @@ def test_first_rounds_count_as_one_what_shows_one_mode(sweep, monkeypatch):
     holograms = 2 * 1200 * np.log2(1 + 0.03) / 25
     for first in (scatters[0], scatters[again]):
         assert first.sharing == pytest.approx(holograms, abs=0.2)
+
+
+def test_a_fit_starts_from_what_scatters_in_the_one_that_is_known():
+    known = SimpleNamespace(discrepancy=0.013, field_walk=0.004, mixing_factor=2.5)
+    found = _scatter_of(known)
+    assert (found.discrepancy, found.walk, found.mixing) == (0.013, 0.004, 2.5)
+
+
+def test_the_prior_of_mixings_has_the_factor_that_was_found(sweep):
+    given = sweep.displacements, sweep.basis, DRIVE_HZ, sweep.volts, sweep.start_hz
+    found = fit_roughly(*given)
+    model, centre_hz = _model(*given[1:])
+    prior = stage_prior(model, LAST, centre_hz, np.ones(len(model.reference)))
+    count, mixes = len(found.names), found.mixing_spread > 0
+    expected = prior.precision[count:, :count][mixes] ** -0.5
+    assert found.mixing_factor != 1.0
+    assert found.mixing_spread[mixes] == pytest.approx(found.mixing_factor * expected)
 
 
 # --- Invariance --------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ keeps everything; a later call goes on from it. This laboratory has no hands for
 an hour of waiting.
 """
 
-import argparse
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from reports.next_campaign import write_next
 from runs.reader import Run
 from studies.sealed.answer_cases import diagnosed
 from studies.sealed.second_laboratory import SealedCase, recorded
-from studies.sealed.second_scores import FOLDER, label_of, opened_set
+from studies.sealed.second_scores import asked_set, label_of
 
 # Experiments that hands of this laboratory can do.
 PLAYABLE: Final = ("repeat", "long_rest", "more_frames", "without_clay")
@@ -134,14 +133,7 @@ def _with_more(sealed: SealedCase, first: Path, campaign: Path, folder: Path) ->
 
 def main() -> None:
     """Print what each case gained, and the means."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for what in ("cases", "key", "answers", "folder"):
-        parser.add_argument(what, type=Path)
-    parser.add_argument("--count", type=int, default=10)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--set", type=Path, default=FOLDER)
-    asked = parser.parse_args()
-    cases, answers = opened_set(asked.key, asked.answers, asked.set)
+    asked, cases, answers = asked_set(__doc__.splitlines()[0], 10)
     names = list(unsure(cases, answers))[: asked.count]
     campaigns, folders = ([place / name for name in names] for place in (asked.cases, asked.folder))
     found = []

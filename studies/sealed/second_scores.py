@@ -176,6 +176,33 @@ def opened_set(
     return opened(sealed, read_cases(key)), answered
 
 
+def asked_set(
+    description: str, count: int
+) -> tuple[argparse.Namespace, dict[str, SealedCase], dict[str, dict[str, Any]]]:
+    """Read the arguments of a program that goes on from a scored set, and open the set.
+
+    Parameters
+    ----------
+    description : str
+        Of the program.
+    count : int
+        How many cases it takes by default.
+
+    Raises
+    ------
+    SystemExit
+        As `opened_set`.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    for what in ("cases", "key", "answers", "folder"):
+        parser.add_argument(what, type=Path)
+    parser.add_argument("--count", type=int, default=count)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--set", type=Path, default=FOLDER)
+    asked = parser.parse_args()
+    return asked, *opened_set(asked.key, asked.answers, asked.set)
+
+
 def main() -> None:
     """Print the scores of a set, and each case."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

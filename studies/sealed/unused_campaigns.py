@@ -11,7 +11,6 @@ effects explain if they are fitted to that campaign itself. FOLDER keeps everyth
 goes on from it.
 """
 
-import argparse
 import statistics
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -25,7 +24,7 @@ from protocols.bench import BenchFile
 from runs.reader import Run
 from studies.sealed.answer_cases import diagnosed
 from studies.sealed.second_laboratory import SealedCase, recorded
-from studies.sealed.second_scores import FOLDER, label_of, opened_set
+from studies.sealed.second_scores import asked_set, label_of
 
 _BENCH, _NEXT = "bench.yaml", "next"
 
@@ -108,14 +107,7 @@ def _oracle(sealed: SealedCase, alone: Mapping[str, Any]) -> float | None:
 
 def main() -> None:
     """Print the fractions of each case, and the median of the ratios."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for what in ("cases", "key", "answers", "folder"):
-        parser.add_argument(what, type=Path)
-    parser.add_argument("--count", type=int, default=12)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--set", type=Path, default=FOLDER)
-    asked = parser.parse_args()
-    cases, answers = opened_set(asked.key, asked.answers, asked.set)
+    asked, cases, answers = asked_set(__doc__.splitlines()[0], 12)
     names = list(named_rightly(cases, answers))[: asked.count]
     campaigns, folders = ([place / name for name in names] for place in (asked.cases, asked.folder))
     sealed = [cases[name] for name in names]

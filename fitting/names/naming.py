@@ -266,7 +266,9 @@ def exchanged_names(descriptors: Sequence[ModeDescriptor]) -> list[dict[str, flo
     """Return the probability of each name of each of m motions of one reed.
 
     Every motion has its own name, or one that no motion has, or that of another motion which then
-    has its. The odds are those of the fractions of these motions that bear the names out.
+    has its. The odds are those of the fractions of these motions that bear the names out. Two
+    motions that one name describes best may exchange theirs whatever else there is in them: which
+    of both has the name is a matter of convention.
 
     Parameters
     ----------
@@ -283,6 +285,10 @@ def exchanged_names(descriptors: Sequence[ModeDescriptor]) -> list[dict[str, flo
     odds = np.hstack(
         [taken * taken.T / np.multiply.outer(own, own), weight[:, len(names) :] / own[:, None]]
     )
+    # A rival has that name rather than its own, also if the owner has no fraction of the rival's.
+    rival = weight.argmax(axis=1)[:, None] == np.arange(len(names))
+    either = np.where(rival, taken / own, 0.0)
+    odds[:, : len(names)] = np.maximum(odds[:, : len(names)], np.maximum(either, either.T))
     # Lateral modes and those of the heel are numbered by frequency: no other order is possible.
     kind = np.array([name[0] if name[0] in _NUMBERED else name for name in names])
     odds[:, : len(names)][kind[:, None] == kind] = 0.0

@@ -211,6 +211,24 @@ def test_a_name_that_no_motion_has_counts_too():
     assert found == pytest.approx({"T5": 1 / (1 + odds), "X6": odds / (1 + odds)})
 
 
+@pytest.mark.parametrize("fraction", [0.6, 0.4])
+def test_of_two_motions_that_one_name_describes_best_neither_has_it_for_sure(fraction):
+    """F4 with a tenth of X5, which is (2,2), and above it a fraction of F4, and T4."""
+    x = np.linspace(-1, 1, 20)
+    profiles = np.zeros((20, 7, 2))
+    bending = np.sign((x + 0.5) * x * (x - 0.5))
+    profiles[:, 0] = np.outer(bending, np.sqrt([0.9 / 20, fraction / 20]))
+    profiles[:, 2, 0] = np.sign(x**2 - 0.25) * np.sqrt(0.1 / 20)
+    profiles[:, 4, 1] = np.sqrt((1 - fraction) / 20)
+    ones, none = np.ones(2), np.zeros(2)
+    motion = ModeDescriptor(Symmetry.SYMMETRIC, ones, none, none, profiles, ones)
+    first, second = exchanged_names([motion])
+    # Of a motion that another name describes best, F4 is none: the first has no T4 to give for it.
+    odds = (fraction / 0.9) ** 2 if fraction > 0.5 else 0.0
+    assert first["F4"] == pytest.approx(1 / (1 + odds + (0.1 / 0.9) ** 2))
+    assert second["T4"] == pytest.approx(1 / (1 + odds))
+
+
 def test_the_shape_that_is_measured_has_the_name(reeds, visible, planted):
     """A reed with its own thickness everywhere has shapes that no plausible reed has."""
     modes = (*MEASURED, "T5", "X6")

@@ -27,8 +27,6 @@ _MOST_FUNCTIONS = 32
 _SHEAR = slice(6, 9)
 # Usual compliance of the clamp, in m per Pa.
 _COMPLIANCE_M_PA = CLAMP_COMPLIANCE.parameters[0].spread
-# Relative width of a resonance in squared frequency at half power: the loss factor of dry cane.
-_WIDTH = 0.03
 
 
 @dataclass(frozen=True)
@@ -47,13 +45,15 @@ class ShapeBasis:
         Eigenfrequencies in this cane, ascending.
     stiffening : (m,) float
         Exponent of the growth of a mode's stiffness with frequency near its resonance.
-    loss_mixing : (2, m, m) float
-        C of `fitting.modal.out_of_phase` for these shapes, of shear and of the clamp.
+    shares : (2, m, m) float
+        G of `fitting.modal.out_of_phase` between modes of unit elastic energy, of shear and of the
+        clamp.
     sound_hz : (h,) float
         Frequencies of `sound`.
     sound : (h, m, m) float
-        Resistance of the sound that a moving mode (last axis) sends to another one, per unit of
-        modal mass, in 1/s, for these shapes.
+        Resistance of the sound that a mode sends to another one, in 1/s, for modes of unit mass.
+    largest : (m,) float
+        Largest deflection of modes of unit mass at the points.
     """
 
     functions: Float32Array
@@ -61,9 +61,10 @@ class ShapeBasis:
     names: tuple[str, ...]
     hz: Array
     stiffening: Array
-    loss_mixing: Array
+    shares: Array
     sound_hz: Array
     sound: Array
+    largest: Array
 
     def stiffening_of(self, names: Sequence[str]) -> Array:
         """Return the exponents (a,) of modes of these names."""
@@ -95,7 +96,7 @@ def shape_basis(
     by_moduli = slopes[:, [CONSTANTS.index("E_L_pa"), CONSTANTS.index("G_LT_pa")]]
     surface, named = surface_shapes(reed, x_m, y_m), _named(reed, E_L_pa, G_LT_pa)
     found: list[tuple[float, str, Array, float]] = []
-    mixing, shapes = [], []
+    shares, shapes = [], []
     taken_by_clamp = _yielding(reed)
     for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
@@ -103,7 +104,7 @@ def shape_basis(
         hz, vectors = hz[:below], vectors[:, :below]
         stiffens = _stiffening(half, terms, by_moduli, hz, vectors, growth)
         lossy = _shear(half, terms, vectors), taken_by_clamp(symmetry, terms, hz, vectors)
-        mixing.append([_loss_mixing(hz, each) for each in lossy])
+        shares.append([each / (2 * np.pi) ** 2 / np.outer(hz, hz) for each in lossy])
         shapes.append(vectors)
         for number, deflections in enumerate((surface[symmetry] @ vectors).T):
             key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
@@ -115,7 +116,7 @@ def shape_basis(
     largest = np.abs(deflection).max(axis=0)
     deflection = deflection / largest
     among = np.ix_(order, order)
-    mixed = [linalg.block_diag(*each)[among] for each in zip(*mixing, strict=True)]
+    whole = [linalg.block_diag(*each)[among] for each in zip(*shares, strict=True)]
     sound_hz, sound = _sound(reed, shapes)
     functions = _functions(deflection, np.array(frequencies))
     coordinates = functions.T @ deflection / len(functions)
@@ -125,9 +126,10 @@ def shape_basis(
         names,
         np.array(frequencies),
         np.array(stiffening),
-        np.stack(mixed) * largest / largest[:, None],
+        np.stack(whole),
         sound_hz,
-        sound[:, among[0], among[1]] * largest[:, None] / largest,
+        sound[:, among[0], among[1]],
+        largest,
     )
 
 
@@ -188,19 +190,6 @@ def _yielding(reed: ReducedReed) -> Callable[[Symmetry | None, Array, Array, Arr
         return np.asarray(force.T @ own @ force)
 
     return taken
-
-
-def _loss_mixing(hz: Array, part: Array) -> Array:
-    """Return how modes (m,) of one symmetry mix if a part (m, m) of their stiffness loses more.
-
-    Per unit of loss factor; the part is that of shear or of the clamp. First order does not hold
-    for modes that are closer than their widths: they mix less.
-    """
-    squares = (2 * np.pi * hz) ** 2
-    apart = np.subtract.outer(squares, squares)
-    width = _WIDTH * np.sqrt(np.outer(squares, squares))
-    found: Array = part * apart / (apart**2 + width**2)
-    return found
 
 
 def _unnamed(symmetry: Symmetry | None, number: int) -> str:

@@ -35,7 +35,7 @@ from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import DRIVE_DOF, OUT_OF_PHASE, Model, Prior, State, stage_prior, terms
 from fitting.modal.noise import Noise, noise_of
 from fitting.modal.optimiser import inverse
-from fitting.modal.out_of_phase import expected_shared, shared_drift, sound_between_modes
+from fitting.modal.out_of_phase import between_modes, expected_shared, forms_of, shared_drift
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
     LAST,
@@ -127,7 +127,7 @@ def fit_roughly(
         model, given, state = _again(model, known, displacements, centre_hz)
         rounds, scatter = _AGAIN, _scatter_of(known)
     end, _ = in_rounds(model, given, state, scatter, rounds, _ROUGH_STEPS)
-    return _finish(displacements, basis.names, [Optimum.of(model, end)])
+    return _finish(displacements, basis.names, [Optimum.of(end)])
 
 
 def fit_modes_with_known_drive(
@@ -166,7 +166,7 @@ def fit_modes_with_known_drive(
     end, given = in_rounds(model, given, state, _scatter_of(known), _AGAIN - 1)
     state, scatter = end.state, end.next_scatter
     levelled = [at_level(each, state) for each in models]
-    optima = [Optimum.of(each, one_round(each, given, state, scatter)) for each in levelled]
+    optima = [Optimum.of(one_round(each, given, state, scatter)) for each in levelled]
     return _finish(displacements, basis.names, optima)
 
 
@@ -182,6 +182,8 @@ def _model(
     shifts = np.log(centre_hz / basis.hz[active])
     reference_hz = basis.hz * np.exp(np.median(shifts))
     reference_hz[active] = centre_hz
+    forms = forms_of(basis, reference_hz, drive_hz)
+    losses, sound = between_modes(forms, np.eye(len(reference_hz)))
     model = Model(
         drive_hz,
         np.log(volts),
@@ -192,8 +194,9 @@ def _model(
         reference_hz,
         basis.stiffening,
         active,
-        basis.loss_mixing,
-        sound_between_modes(basis, reference_hz, drive_hz),
+        forms,
+        losses,
+        sound,
     )
     return model, centre_hz
 
@@ -281,11 +284,11 @@ def _finish(
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
         mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
         mixing_factor=end.scatter.mixing,
-        participation=now.participation[nearest, model.active],
-        participation_error=participation_error(model, prior, given_drive, nearest),
+        participation=now.received(state)[nearest, model.active],
+        participation_error=participation_error(model, prior, state, now, given_drive, nearest),
         participations=now.participation[:, model.active],
         drive=np.exp(state.log_drive),
-        amplitude_rad=now.amplitude(state),
+        amplitude_rad=now.amplitude,
         modal_rad=now.modal[:, model.active],
         misfit=end.misfit,
         discrepancy=end.scatter.discrepancy,

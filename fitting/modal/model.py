@@ -2,10 +2,12 @@
 
 The displacement of hologram k, in coordinates j of few functions, is
 
-    a_kj = d_k Σ_m h_m(f_k) p_m(f_k) T_mj,    h_m(f) = 1 / (1 + iη_m − (f/f_m)^(2 − γ_m))
+    a_kj = d_k Σ_mn T_mj Z_mn(f_k)⁻¹ p_n(f_k),    Z_mn(f) = δ_mn z_m(f) + i B_mn(f)
+    z_m(f) = 1 + iη_m − (f/f_m)^(2 − γ_m)
 
-with the exponent γ_m by which cane stiffens with frequency, and shapes
-``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements (see `fitting.modal.fit`).
+with the exponent γ_m by which cane stiffens with frequency, shapes
+``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements (see `fitting.modal.fit`), and
+losses B that connect modes (see `fitting.modal.out_of_phase`).
 """
 
 from dataclasses import dataclass, replace
@@ -41,6 +43,25 @@ _REACH_M, _SOUND_M_S, _OTHER = 0.5 * _CHAMBER.length_m, _CHAMBER.sound_speed_m_s
 
 
 @dataclass(frozen=True)
+class Forms:
+    """How losses and sound connect shapes S of unit elastic energy.
+
+    Attributes
+    ----------
+    shares : (2, m, m) float
+        Part of the energy between each two that belongs to shear, and what a clamp takes of it.
+    sound : (k, m, m) float
+        Work of the sound of one on another one, in a radian.
+    scale : (m,) float
+        Amplitude of each, relative to S.
+    """
+
+    shares: Array
+    sound: Array
+    scale: Array
+
+
+@dataclass(frozen=True)
 class Model:
     """Constants of the joint model.
 
@@ -70,10 +91,12 @@ class Model:
         See `fitting.holograms.shape_basis.ShapeBasis`.
     active : (a,) int
         Modes whose resonance lies in the sweep.
-    loss_mixing : (2, m, m) float
-        Of shear and of the clamp, see `fitting.modal.out_of_phase`.
+    forms : Forms
+        How losses and sound connect the shapes S.
+    losses : (2, m, m) float
+        B of `fitting.modal.out_of_phase` between the modes, of shear and of the clamp.
     sound : (k, m, m) float
-        See `fitting.modal.out_of_phase.sound_between_modes`.
+        The same of sound.
     line_weight : float
         Log weight of the lines that are expected of the drive, see
         `fitting.acoustics.poles.DriveLines`.
@@ -88,7 +111,8 @@ class Model:
     reference_hz: Array
     stiffening: Array
     active: NDArray[np.intp]
-    loss_mixing: Array
+    forms: Forms
+    losses: Array
     sound: Array
     line_weight: float = 0.0
 
@@ -139,35 +163,51 @@ class Terms:
 
     Attributes
     ----------
-    resonance, participation : (k, m) complex
-        h and p of the model's equation.
+    participation : (k, m) complex
+        p of the model's equation.
     shapes : (m, j) float
         T.
     loss : (m,) float
     ratio : (k, m) float
         (f/f_m)^(2 − γ_m).
+    dynamic : (k, m, m) complex
+        Dynamic stiffness Z, relative to the static one.
     modal : (k, m) complex
-        Largest deflections d h p, in phase.
-    out_of_phase : (3, k, m) complex
-        What shear, clamp and sound add to them, for a difference of 1 of the loss factors, and for
-        the sound of a free plate.
+        Largest deflections d Z⁻¹ p.
     """
 
-    resonance: ComplexArray
     participation: ComplexArray
     shapes: Array
     loss: Array
     ratio: Array
+    dynamic: ComplexArray
     modal: ComplexArray
-    out_of_phase: ComplexArray
 
-    def moved(self, state: State) -> ComplexArray:
-        """Return the largest deflections (k, m) with what is out of phase."""
-        return self.modal + np.tensordot(state.out_of_phase, self.out_of_phase, axes=1)
+    @property
+    def alone(self) -> ComplexArray:
+        """Dynamic stiffness (k, m) of each mode alone."""
+        found: ComplexArray = np.diagonal(self.dynamic, axis1=1, axis2=2)
+        return found
 
-    def amplitude(self, state: State) -> ComplexArray:
-        """Return the displacements (k, j)."""
-        found: ComplexArray = self.moved(state) @ self.shapes
+    @property
+    def amplitude(self) -> ComplexArray:
+        """Displacements (k, j)."""
+        found: ComplexArray = self.modal @ self.shapes
+        return found
+
+    def received(self, state: State) -> ComplexArray:
+        """Return participations (k, m) with what other modes add to them."""
+        found: ComplexArray = self.alone * self.modal / np.exp(state.log_drive)[:, None]
+        return found
+
+    def moved_by_forces(self) -> ComplexArray:
+        """Return the displacement (k, m, j) by a unit force on each mode."""
+        return np.asarray(np.linalg.solve(self.dynamic.swapaxes(1, 2), self.shapes[None]))
+
+    def on_forces(self, pull: ComplexArray) -> ComplexArray:
+        """Return what forces (k, j) on the amplitudes do along unit forces on the modes (k, m)."""
+        on_modes = (pull @ self.shapes.T)[..., None]
+        found: ComplexArray = np.linalg.solve(self.dynamic.swapaxes(1, 2), on_modes)[..., 0]
         return found
 
 
@@ -185,89 +225,71 @@ def terms(model: Model, state: State) -> Terms:
     shapes = model.reference.copy()
     shapes[active] += x[count:, :count].T @ model.reference
     ratio = (model.hz[:, None] / hz) ** (2 - model.stiffening)
-    resonance: ComplexArray = 1 / (1 + 1j * loss - ratio)
     participation: ComplexArray = model.powers.astype(complex) @ p.T
-    modal = np.exp(state.log_drive)[:, None] * (resonance * participation)
-    sent = resonance * (model.sound @ modal[..., None])[..., 0]
-    out_of_phase = 1j * np.concatenate([modal @ model.loss_mixing, -sent[None]])
-    return Terms(resonance, participation, shapes, loss, ratio, modal, out_of_phase)
+    *losses, sound = state.out_of_phase
+    dynamic = 1j * (np.tensordot(losses, model.losses, axes=1) + sound * model.sound)
+    own = np.arange(len(hz))
+    dynamic[:, own, own] += 1 + 1j * loss - ratio
+    forces = np.exp(state.log_drive)[:, None] * participation
+    modal = np.linalg.solve(dynamic, forces[..., None])[..., 0]
+    return Terms(participation, shapes, loss, ratio, dynamic, modal)
 
 
-def by_logs(model: Model, terms: Terms) -> tuple[ComplexArray, ComplexArray]:
-    """Return derivatives (k, a) of the active resonances by log frequency and log loss factor."""
+def forces_by_logs(model: Model, terms: Terms) -> tuple[ComplexArray, ComplexArray]:
+    """Return the forces (k, a) that do what log frequencies and log loss factors do."""
     active = model.active
-    steep = terms.resonance[:, active] ** 2
-    exponent = 2 - model.stiffening[active]
-    return -exponent * terms.ratio[:, active] * steep, -1j * terms.loss[active] * steep
+    exponent, moved = 2 - model.stiffening[active], terms.modal[:, active]
+    return -exponent * terms.ratio[:, active] * moved, -1j * terms.loss[active] * moved
+
+
+def forces_out_of_phase(model: Model, terms: Terms) -> ComplexArray:
+    """Return the forces (3, k, m) that do what a unit of each number out of phase does."""
+    losses = terms.modal @ model.losses.swapaxes(1, 2)
+    sound = (model.sound @ terms.modal[..., None])[..., 0]
+    found: ComplexArray = -1j * np.concatenate([losses, sound[None]])
+    return found
 
 
 def scalars(model: Model, state: State, terms: Terms) -> ComplexArray:
     """Return derivatives (k, v, p) by all parameters, without the vectors that they multiply.
 
-    They are those of a model in phase.
+    Those of participations and logarithms multiply the displacement by a unit force on the mode,
+    those of mixings the shape S.
     """
     active, passive, count = model.active, model.passive, len(model.active)
     powers = model.powers.shape[1]
     drive = np.exp(state.log_drive)[:, None]
-    h, p = drive * terms.resonance, terms.participation
     s = np.zeros((len(model.hz), count + len(model.reference), model.slots), complex)
-    own = h[:, active, None] * model.powers[:, None, :]
-    s[:, :count, :powers], s[:, :count, powers : 2 * powers] = own, 1j * own
-    for slot, slope in enumerate(by_logs(model, terms), start=2 * powers):
-        s[:, :count, slot] = drive * slope * p[:, active]
-    s[:, count:, :count] = terms.moved(state)[:, None, active]
-    tail = h[:, passive, None] * model.powers[:, None, :TAIL_TERMS]
-    s[:, count + passive, count : count + TAIL_TERMS] = tail
-    s[:, count + passive, count + TAIL_TERMS : count + 2 * TAIL_TERMS] = 1j * tail
+    own, tail = drive * model.powers, drive * model.powers[:, :TAIL_TERMS]
+    s[:, :count, :powers], s[:, :count, powers : 2 * powers] = own[:, None], 1j * own[:, None]
+    for slot, force in enumerate(forces_by_logs(model, terms), start=2 * powers):
+        s[:, :count, slot] = force
+    s[:, count:, :count] = terms.modal[:, None, active]
+    s[:, count + passive, count : count + TAIL_TERMS] = tail[:, None]
+    s[:, count + passive, count + TAIL_TERMS : count + 2 * TAIL_TERMS] = 1j * tail[:, None]
     return s
 
 
-def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> Array:
-    """Return the slopes (v, p) by all parameters under forces on the amplitudes.
+def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> tuple[Array, Array]:
+    """Return the slopes by all parameters under forces on the amplitudes.
 
-    The forces (k, j) are those on the real parts, less i times those on the imaginary parts. A mode
-    moves others out of phase, so that forces on these act on it, too.
+    The forces (k, j) are those on the real parts, less i times those on the imaginary parts.
+
+    Returns
+    -------
+    by_parameters : (v, p) float
+    out_of_phase : (3, k) float
+        By the numbers that modes are out of phase by, for each hologram.
     """
     active, count = model.active, len(model.active)
-    powers = model.powers.shape[1]
-    on_active, on_shapes = pull @ terms.shapes[active].T, pull @ model.reference.T
-    on_modes = on_shapes.copy()
-    on_modes[:, active] = on_active
-    *losses, sound = state.out_of_phase
-    mixing = np.tensordot(losses, model.loss_mixing, axes=1)
-    sounding = ((terms.resonance * on_modes)[:, None] @ model.sound)[:, 0]
-    on_modes = on_modes + 1j * (on_modes @ mixing.T - sound * sounding)
-    on_vectors = np.concatenate([on_modes[:, active], on_modes], axis=1)
+    on_shapes, on_forces = pull @ model.reference.T, terms.on_forces(pull)
+    on_vectors = np.concatenate([on_forces[:, active], on_forces], axis=1)
     # Matrix products: einsum itself takes several times as long.
     by_vector = scalars(model, state, terms).transpose(1, 2, 0)
     found: Array = (by_vector @ on_vectors.T[..., None])[..., 0].real
-    found[count:, :count] = (on_shapes.T @ terms.moved(state)[:, active]).real
-    for slot, by_others in enumerate(by_sound_of_others(model, state, terms), 2 * powers):
-        found[:count, slot] += np.sum((by_others * on_active).real, axis=0)
-    return found
-
-
-def moving_others(model: Model, state: State, terms: Terms) -> ComplexArray:
-    """Return the displacement (k, m, j) of each mode, with what it moves out of phase."""
-    *losses, sound = state.out_of_phase
-    by_sound = terms.resonance[:, :, None] * model.sound
-    by_loss = np.tensordot(losses, model.loss_mixing, axes=1) @ terms.shapes
-    others = by_loss - sound * by_sound.swapaxes(1, 2) @ terms.shapes
-    found: ComplexArray = terms.shapes + 1j * others
-    return found
-
-
-def by_sound_of_others(
-    model: Model, state: State, terms: Terms
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return derivatives (k, a) by log frequency and log loss factor, by the sound of others.
-
-    The sound that others send moves a mode by its resonance.
-    """
-    sent = (model.sound[:, model.active] @ terms.modal[..., None])[..., 0]
-    by_hz, by_loss = by_logs(model, terms)
-    factor = -1j * state.out_of_phase[-1] * sent
-    return factor * by_hz, factor * by_loss
+    found[count:, :count] = (on_shapes.T @ terms.modal[:, active]).real
+    out_of_phase = np.sum(forces_out_of_phase(model, terms) * on_forces, axis=2).real
+    return found, out_of_phase
 
 
 @dataclass(frozen=True)

@@ -25,14 +25,13 @@ from fitting.modal.model import (
     Prior,
     State,
     Terms,
-    by_logs,
-    by_sound_of_others,
     drive_prior_at,
-    moving_others,
+    forces_by_logs,
+    forces_out_of_phase,
     slopes,
     terms,
 )
-from fitting.modal.noise import Data, parts
+from fitting.modal.noise import Data
 from holography.arrays import Array, ComplexArray
 
 
@@ -113,21 +112,15 @@ class _Columns:
 
 def _columns(model: Model, data: Data, at: "Evaluation") -> _Columns:
     state, now, active, passive = at.state, at.terms, model.active, model.passive
-    modes, whole = moving_others(model, state, now), now.amplitude(state)
-    drive = np.exp(state.log_drive)[:, None]
-    resonance, participation = drive * now.resonance, now.participation[:, active]
-    sounding = by_sound_of_others(model, state, now)
-    by_log = [
-        (drive * slope * participation)[..., None] * modes[:, active]
-        + sent[..., None] * now.shapes[active]
-        for slope, sent in zip(by_logs(model, now), sounding, strict=True)
-    ]
+    by_force, whole = now.moved_by_forces(), now.amplitude
+    driven = np.exp(state.log_drive)[:, None, None] * by_force
+    by_log = [each[..., None] * by_force[:, active] for each in forces_by_logs(model, now)]
     both = np.array([1, 1j])[:, None]
     groups = [
-        (resonance[:, active, None] * modes[:, active])[:, :, None] * both,
+        driven[:, active, None] * both,
         np.stack(by_log, axis=2),
-        (resonance[:, passive, None] * modes[:, passive])[:, :, None] * both,
-        (now.out_of_phase @ now.shapes).swapaxes(0, 1),
+        driven[:, passive, None] * both,
+        forces_out_of_phase(model, now).swapaxes(0, 1) @ by_force,
         whole[:, None] * both,
     ]
     count, size = len(whole), whole.shape[1]
@@ -180,7 +173,7 @@ def equations(model: Model, data: Data, prior: Prior, at: "Evaluation") -> Equat
     number = np.full(prior.free.shape, -1)
     number[prior.free] = np.arange(np.count_nonzero(prior.free))
     columns, groups = _columns(model, data, at), _groups(model, number)
-    mixing = _Mixing.of(model, number, at.terms.moved(at.state)[:, model.active])
+    mixing = _Mixing.of(model, number, at.terms.modal[:, model.active])
     own = np.concatenate([each.positions.ravel() for each in groups])
     mixed = mixing.positions
     first, drift = int(np.count_nonzero(prior.free)), data.drift
@@ -238,7 +231,7 @@ class Evaluation:
 def evaluate(model: Model, data: Data, prior: Prior, state: State) -> Evaluation:
     """Compute residuals and cost of a state."""
     now, drive_prior, shared = terms(model, state), drive_prior_at(model, state), state.shared
-    residual = data.whitened_residual(now.amplitude(state), shared)
+    residual = data.whitened_residual(now.amplitude, shared)
     known = float(shared @ (data.precision @ shared - 2 * data.pull)) + prior.cost(state.x)
     state = replace(state, scatter=drive_prior.scatter)
     return Evaluation(
@@ -253,14 +246,14 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
     """
     state, now, residual, free = at.state, at.terms, at.residual, prior.free
     force = (residual[:, None, :] @ data.root)[:, 0]
-    of_phase = [np.sum(parts(each @ now.shapes) * force, axis=1) for each in now.out_of_phase]
     of_light = -(residual[:, None] @ data.response)[:, 0]
     pull = force[:, : force.shape[1] // 2] - 1j * force[:, force.shape[1] // 2 :]
-    of_drive = np.sum(now.amplitude(state) * pull, axis=1)
+    of_drive = np.sum(now.amplitude * pull, axis=1)
+    of_parameters, of_phase = slopes(model, state, now, pull)
     offset = prior.precision[free] * (state.x - prior.centre)[free]
     return np.concatenate(
         [
-            slopes(model, state, now, pull)[free] - offset,
+            of_parameters[free] - offset,
             data.drift.gathered(np.concatenate([of_phase, of_light.T]))
             - (data.precision @ state.shared - data.pull),
             of_drive.real + at.drive_prior.gradient,

@@ -239,7 +239,7 @@ def _growth(model: Model, data: Data, at: Evaluation, step: Array) -> Array:
     of_active = step[: len(active)]
     change = model.powers @ (of_active[:, :powers] + 1j * of_active[:, powers : 2 * powers]).T
     before = now.participation[:, active]
-    moved = np.exp(at.state.log_drive.real)[:, None] * np.abs(now.resonance[:, active])
+    moved = np.exp(at.state.log_drive.real)[:, None] / np.abs(now.alone[:, active])
     seen = data.seen[:, None] * moved**2
     along = np.sum(seen * (before.conj() * change).real, axis=0)
     return np.asarray(np.clip(1 + along / np.sum(seen * np.abs(before) ** 2, axis=0), *_GROWTH))

@@ -1,15 +1,17 @@
 """Modes that are not in phase, because losses connect them.
 
-If all strain lost the same part of its energy, and nothing else lost any, modes would be real.
+If all strain lost the same part of its energy, and nothing else lost any, modes would be real. What
+else connects them moves mode m by what mode n does, to first order:
+
+    a_m = −i h_m B_mn a_n
+
+with h of the model's equation. Three causes have such a B:
 
 **Shear.** In wood it loses up to twice as much as bending (Labonnote et al., Wood Sci. Technol. 47,
-1033, 2013). To first order in the difference Δη of both loss factors, mode m is
-
-    T_m + iΔη Σ_n C_mn T_n,    C_mn = G_mn / (λ_m − λ_n)
-
-where G_mn is the part of the stiffness between both modes that belongs to shear, and λ = (2πf)². A
-fit with real shapes compensates this by wrong loss factors: 2 % for T2 and 7 % for F2 of a reed
-with Δη = 0.025 (decision 0039).
+1033, 2013). With G_mn, the part of the stiffness between both modes that belongs to shear, and the
+difference Δη of both loss factors, B_mn = Δη G_mn / λ_m where λ = (2πf)². A fit with real shapes
+compensates this by wrong loss factors: 2 % for T2 and 7 % for F2 of a reed with Δη = 0.025
+(decision 0039).
 
 **Clamp.** The elastic beds of the strips lose another part of their energy than the cane. They have
 the energy that a yielding clamp takes from the modes: with F the forces that hold the strips of a
@@ -18,26 +20,25 @@ the beds less that of cane. If this is left out, beds that lose nothing make the
 3 % too small (decision 0062). Only the product of c and Δη is known: Δη is that for a usual c.
 
 **Sound.** The sound that a mode n sends out moves mode m, with the resistance R_mn between them:
-
-    a_m = −iω R_mn h_m / λ_m a_n
-
-with h of the model's equation. F modes send out most. Without this, F3 was up to 54 cents off
-(decision 0055).
+B_mn = ω R_mn / λ_m. F modes send out most. Without this, F3 was up to 54 cents off (decision 0055).
 
 Both Δη, and the sound relative to that of a free plate, are fitted as three more parameters that
-all holograms share.
+all holograms share. G and R are those of the modes as they are, not those of the finite elements:
+where an F mode and a T mode exchange shapes, what only one of them loses connects them
+(decision 0084).
 """
 
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 from scipy.interpolate import CubicSpline
 
 from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.field_drift import FieldDrift, field_drift
-from fitting.modal.model import OUT_OF_PHASE
+from fitting.modal.model import OUT_OF_PHASE, Forms, Model, State
 from holography.arrays import Array
 
 # Expectation and standard deviation of both Δη: dry cane loses 0.03, shear up to twice as much, and
@@ -46,11 +47,10 @@ from holography.arrays import Array
 _EXPECTED, _SPREAD = np.array([0.0, 0.0, 1.0]), np.array([0.03, 0.03, 0.5])
 
 
-def sound_between_modes(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Array:
-    """Return ω R_mn / λ_m (k, m, n) of modes (m,) at drive frequencies (k,); 0 for m = n.
+def forms_of(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Forms:
+    """Return how losses and sound connect the shapes of a basis.
 
-    What a mode loses by its own sound is part of its loss factor. Beyond the frequencies that the
-    basis has, the resistance stays as it is at their end.
+    Beyond the frequencies that the basis has, the resistance of sound stays as it is at their end.
 
     Parameters
     ----------
@@ -61,8 +61,39 @@ def sound_between_modes(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Array:
     """
     at_hz = np.clip(drive_hz, basis.sound_hz[0], basis.sound_hz[-1])
     resistance = CubicSpline(np.log(basis.sound_hz), basis.sound)(np.log(at_hz))
-    between: Array = resistance * (drive_hz[:, None] / (2 * np.pi * hz**2))[..., None]
-    return between * (1 - np.eye(len(hz)))
+    own, omega = 2 * np.pi * hz, 2 * np.pi * drive_hz
+    sound = omega[:, None, None] * resistance / np.outer(own, own)
+    return Forms(basis.shares, sound, basis.largest / own)
+
+
+def between_modes(forms: Forms, mixed: Array) -> tuple[Array, Array]:
+    """Return B of losses (2, m, m) and of sound (k, m, m) between modes; 0 for a mode with itself.
+
+    What a mode loses by itself is part of its loss factor.
+
+    Parameters
+    ----------
+    forms : Forms
+    mixed : (m, m) float
+        How much each mode has of each shape S. Modes are orthogonal: as perturbations are only
+        nearly so, the nearest orthogonal ones are taken.
+    """
+    scale = forms.scale
+    turned, _ = linalg.polar(mixed * scale[:, None] / scale)
+    own = 1 - np.eye(len(scale))
+    losses, sound = (
+        own * (turned @ each @ turned.T) * scale[:, None] / scale
+        for each in (forms.shares, forms.sound)
+    )
+    return losses, sound
+
+
+def connected(model: Model, state: State) -> Model:
+    """Connect modes as those of a state are."""
+    count, mixed = len(model.active), np.eye(len(model.reference))
+    mixed[model.active] += state.x[count:, :count].T
+    losses, sound = between_modes(model.forms, mixed)
+    return replace(model, losses=losses, sound=sound)
 
 
 def shared_drift(displacements: Displacements) -> FieldDrift:

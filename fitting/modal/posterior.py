@@ -6,9 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fitting.modal.model import Model, Prior, State, Terms, drive_prior_at
+from fitting.modal.model import (
+    Model,
+    Prior,
+    State,
+    Terms,
+    drive_prior_at,
+    forces_by_logs,
+    forces_out_of_phase,
+    scalars,
+)
 from fitting.modal.normal_equations import Equations
-from holography.arrays import Array
+from holography.arrays import Array, ComplexArray, IndexArray
 
 
 @dataclass(frozen=True)
@@ -112,16 +121,15 @@ def resonant_displacements(
 ) -> ResonantDisplacements:
     """Return the displacement of each mode at its resonance, with its covariance.
 
-    It is ``|d(f_m) p_m(f_m)| / η_m T_m``. The logarithms of drive and participation are
-    interpolated between the two holograms next to the resonance. Frequency, loss factor,
-    participation, drive, shape and the common-mode error all add to the covariance.
+    It is ``|d(f_m) p_m(f_m)| / η_m T_m``, with what other modes add to the participation. The
+    logarithms of drive and participation are interpolated between the two holograms next to the
+    resonance. Frequency, loss factor, participation, drive, shape and the common-mode error all add
+    to the covariance.
     """
     count, size = len(model.active), now.shapes.shape[1]
-    powers, free = model.powers.shape[1], prior.free
-    number = np.full(free.shape, -1)
-    number[free] = np.arange(np.count_nonzero(free))
+    powers, number = model.powers.shape[1], _numbers(prior)
     amplitude, covariance = np.zeros((count, size)), np.zeros((count, size, size))
-    log_hz, moved = np.log(model.hz), np.exp(state.log_drive)[:, None] * now.participation
+    log_hz, moved = np.log(model.hz), now.alone * now.modal
     for a, m in enumerate(model.active):
         log_f = float(np.clip(state.x[a, 2 * powers], log_hz[0], log_hz[-1]))
         k = int(np.clip(np.searchsorted(log_hz, log_f), 1, len(log_hz) - 1))
@@ -129,36 +137,68 @@ def resonant_displacements(
         weight = np.interp(log_f, log_hz[pair], [0.0, 1.0])
         weights = np.array([1 - weight, weight])
         logs = np.log(np.abs(moved[pair, m]))
-        own = np.exp(weights @ logs) / now.loss[m] * now.shapes[m]
+        scale = np.exp(weights @ logs) / now.loss[m]
         # Derivatives of the log amplitude, then of all coordinates.
         by_log, by_drive = np.zeros(posterior.covariance.shape[0]), np.zeros(2 * len(log_hz))
         by_drive[pair] = weights
-        turned = weights / now.participation[pair, m].conj() @ model.powers[pair]
-        by_log[number[a, :powers]] = turned.real
-        by_log[number[a, powers : 2 * powers]] = turned.imag
-        by_log[number[a, 2 * powers]] = np.diff(logs)[0] / np.diff(log_hz[pair])[0]
-        by_log[number[a, 2 * powers + 1]] = -1.0
-        by_parameters = np.multiply.outer(own, by_log)
-        mixes = np.flatnonzero(free[count:, a])
-        scale = np.exp(weights @ logs) / now.loss[m]
+        for each, at in zip(weights, pair.tolist(), strict=True):
+            by_force = _by_parameters(model, prior, state, now, a, at)
+            by_log[: len(by_force)] += each * (by_force / moved[at, m]).real
+        by_log[number[a, 2 * powers]] += np.diff(logs)[0] / np.diff(log_hz[pair])[0]
+        by_log[number[a, 2 * powers + 1]] -= 1.0
+        by_parameters = scale * np.multiply.outer(now.shapes[m], by_log)
+        mixes = np.flatnonzero(prior.free[count:, a])
         by_parameters[:, number[count + mixes, a]] += scale * model.reference[mixes].T
-        amplitude[a] = own
-        covariance[a] = posterior.of_combinations(by_parameters, np.multiply.outer(own, by_drive))
+        amplitude[a] = scale * now.shapes[m]
+        covariance[a] = posterior.of_combinations(
+            by_parameters, scale * np.multiply.outer(now.shapes[m], by_drive)
+        )
     return ResonantDisplacements(amplitude, covariance)
 
 
 def participation_error(
-    model: Model, prior: Prior, covariance: Array, nearest: NDArray[np.intp]
+    model: Model,
+    prior: Prior,
+    state: State,
+    now: Terms,
+    covariance: Array,
+    nearest: NDArray[np.intp],
 ) -> Array:
-    """Return standard errors (a,) of participations at the holograms nearest to the modes."""
-    number = np.full(prior.centre.shape, -1)
-    number[prior.free] = np.arange(np.count_nonzero(prior.free))
-    powers, errors = model.powers.shape[1], []
-    for a, k in enumerate(nearest):
-        variance = 0.0
-        for part in (0, powers):
-            which = number[a, part : part + powers]
-            at = model.powers[k]
-            variance += float(at @ covariance[np.ix_(which, which)] @ at)
-        errors.append(np.sqrt(variance))
+    """Return standard errors (a,) of participations at the holograms nearest to the modes.
+
+    They are those with what other modes add (`Terms.received`), for a given drive.
+    """
+    errors, drive = [], np.exp(state.log_drive)
+    for a, k in enumerate(nearest.tolist()):
+        slopes = _by_parameters(model, prior, state, now, a, k) / drive[k]
+        own = covariance[: len(slopes), : len(slopes)]
+        errors.append(np.sqrt((slopes.conj() @ own @ slopes).real))
     return np.array(errors)
+
+
+def _by_parameters(
+    model: Model, prior: Prior, state: State, now: Terms, a: int, k: int
+) -> ComplexArray:
+    """Return derivatives (q,) of the force on an active mode in a hologram, with that by others.
+
+    Those by the free parameters, then by the numbers that modes are out of phase by.
+    """
+    active, count, powers = model.active, len(model.active), model.powers.shape[1]
+    m = active[a]
+    unit = np.zeros(len(now.shapes))
+    unit[m] = 1
+    by_forces = now.alone[k, m] * np.linalg.solve(now.dynamic[k].T, unit)
+    by_vector = np.concatenate([by_forces[active], by_forces])
+    slopes = scalars(model, state, now)[k] * by_vector[:, None]
+    slopes[count:, :count] = 0
+    # The dynamic stiffness of the mode itself is not that force.
+    for slot, force in enumerate(forces_by_logs(model, now), start=2 * powers):
+        slopes[a, slot] -= force[k, a]
+    return np.concatenate([slopes[prior.free], forces_out_of_phase(model, now)[:, k] @ by_forces])
+
+
+def _numbers(prior: Prior) -> IndexArray:
+    """Return the positions (v, p) of the free parameters among all; -1 where one is fixed."""
+    number = np.full(prior.free.shape, -1)
+    number[prior.free] = np.arange(np.count_nonzero(prior.free))
+    return number

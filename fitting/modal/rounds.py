@@ -30,7 +30,7 @@ from fitting.modal.model import (
 from fitting.modal.noise import Data, Noise, balanced, data_of, inflated, sharing_holograms
 from fitting.modal.normal_equations import Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
-from fitting.modal.out_of_phase import with_out_of_phase
+from fitting.modal.out_of_phase import connected, with_out_of_phase
 from fitting.modal.posterior import Posterior
 from holography.arrays import Array, IndexArray
 
@@ -97,6 +97,8 @@ class Round:
 
     Attributes
     ----------
+    model : Model
+        With what connects the modes of the start.
     prior : Prior
     state : State
     here : Equations
@@ -123,6 +125,7 @@ class Round:
         Noise with the variance of outliers increased.
     """
 
+    model: Model
     prior: Prior
     state: State
     here: Equations
@@ -147,6 +150,7 @@ def one_round(
     iterations: int = LAST.iterations,
 ) -> Round:
     """Minimise the cost, and estimate the scatter for which residuals are as expected."""
+    model = connected(model, state)
     displacements, drift, noise = given.displacements, given.drift, given.noise
     prior = _with_mixing(given.prior, len(model.active), scatter.mixing)
     shared = shared_at(model, given, state, scatter.walk)
@@ -160,12 +164,13 @@ def one_round(
     freedoms = (
         2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
     )
-    weighed = data.whitened_residual(at.terms.amplitude(state), state.shared)
+    weighed = data.whitened_residual(at.terms.amplitude, state.shared)
     left = weighed * weighing
     whitened_residual = left / noise.deviation(scatter.discrepancy)
     first = len(covariance) - len(shared.precision)
     walk = found_walk(drift, state.shared, covariance[first:, first:], scatter.walk)
     return Round(
+        model=model,
         prior=prior,
         state=state,
         here=here,
@@ -264,7 +269,7 @@ def in_rounds(
 def shared_at(model: Model, given: Given, state: State, walk: float) -> SharedError:
     """Return the error that displacements share, where they respond as those of a state would."""
     measured, error = given.displacements.amplitude_rad, given.displacements.common_mode
-    modelled, size = terms(model, state).amplitude(state), measured.shape[1]
+    modelled, size = terms(model, state).amplitude, measured.shape[1]
     shift = given.drift.shift(state.shared)[:, OUT_OF_PHASE:]
     at_model = error.responding_at(modelled, measured)
     moved = (at_model.response @ shift[..., None])[..., 0]
@@ -313,10 +318,10 @@ class Optimum:
     factor: float
 
     @classmethod
-    def of(cls, model: Model, end: Round, found: FoundRipple | None = None) -> "Optimum":
+    def of(cls, end: Round, found: FoundRipple | None = None) -> "Optimum":
         """Collect an optimum from the last round, and the ripple that it had."""
         # χ² of a round is not exactly as expected.
-        factor = end.misfit
+        model, factor = end.model, end.misfit
         count, powers = len(model.active), model.powers.shape[1]
         own = logs_among_free(model, end.prior)
         covariance = factor * end.covariance[np.ix_(own, own)]
@@ -372,7 +377,7 @@ def influence(model: Model, end: Round, which: IndexArray) -> Influence:
             log_drive=state.log_drive + step * (magnitude[:, r] + 1j * phase[:, r]),
             shared=state.shared + step * shared[:, r],
         )
-        return end.data.whitened_residual(terms(model, moved).amplitude(moved), moved.shared)
+        return end.data.whitened_residual(terms(model, moved).amplitude, moved.shared)
 
     slopes = np.stack([residual(r, -_STEP) - residual(r, _STEP) for r in range(len(which))])
     # The covariance is the inverse of half the Gauss-Newton Hessian.
@@ -386,12 +391,12 @@ def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> O
     Every optimum has the same scatter: only then can their evidence be compared.
     """
     end = one_round(model, given, state, scatter)
-    here = Optimum.of(model, end)
+    here = Optimum.of(end)
     for _ in range(_MOST_RIPPLES):
         found, before = _found_ripple(model, end), here
         model = replace(model, ripple=found.ripple)
         end = one_round(model, given, end.state, scatter)
-        here = Optimum.of(model, end, found)
+        here = Optimum.of(end, found)
         moved = np.abs(here.logs - before.logs) / np.sqrt(np.diag(here.covariance))
         if np.all(moved < _SETTLED):
             break

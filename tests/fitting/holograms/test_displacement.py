@@ -83,7 +83,8 @@ def plate(rng, points):
     functions = np.linalg.svd(shapes, full_matrices=False)[0] * np.sqrt(points)
     coordinates = (functions.T @ shapes / points).T
     none = np.zeros(5), np.zeros((2, 5, 5)), np.array([1e3, 2e4]), np.zeros((2, 5, 5))
-    return x, y, ShapeBasis(functions.astype(np.float32), coordinates, NAMES, MODE_HZ, *none)
+    functions = functions.astype(np.float32)
+    return x, y, ShapeBasis(functions, coordinates, NAMES, MODE_HZ, *none, np.ones(5))
 
 
 def planted(

@@ -192,15 +192,29 @@ def test_what_a_mode_loses_by_its_own_sound_is_that_of_the_reduced_reed(reed, ba
         assert at / (2 * np.pi * hz) == pytest.approx(loss, rel=0.1)
 
 
-def test_sound_connects_modes_of_one_symmetry_both_ways(reed, basis, deflection, points):
-    """The force on either is the same: their own masses turn it into what they receive."""
+def test_losses_and_sound_connect_modes_of_one_symmetry_both_ways(basis, deflection):
     even = np.array([is_even(column) for column in deflection.T])
-    assert not np.any(basis.sound[:, even][:, :, ~even])
     F1, F3 = basis.names.index("F1"), basis.names.index("F3")
-    mass_1, mass_3 = (modal_mass_kg(reed, points, basis.hz[m]) for m in (F1, F3))
     assert np.abs(basis.sound[:, F1, F3]).max() > 1
-    assert mass_1 * basis.sound[:, F1, F3] == pytest.approx(mass_3 * basis.sound[:, F3, F1])
-    assert not 0.8 < mass_1 / mass_3 < 1.25
+    for each in (*basis.shares, *basis.sound):
+        assert not np.any(each[even][:, ~even])
+        assert each == pytest.approx(each.T, abs=1e-6 * np.abs(each).max())
+
+
+def test_the_largest_deflections_are_those_of_modes_of_unit_mass(reed, basis, points):
+    for name in ("F1", "F2", "F3"):
+        m = basis.names.index(name)
+        mass_kg = modal_mass_kg(reed, points, basis.hz[m])
+        assert mass_kg * basis.largest[m] ** 2 == pytest.approx(1.0, rel=1e-6)
+
+
+def test_shear_has_a_part_of_the_energy_of_each_mode(basis):
+    """T modes twist: most of their energy is in shear. The clamp takes little."""
+    own = np.diagonal(basis.shares, axis1=1, axis2=2)
+    assert np.all((own > 0) & (own < 1))
+    F1, T1 = (basis.names.index(name) for name in ("F1", "T1"))
+    assert own[0, F1] < 0.2 < 0.5 < own[0, T1]
+    assert own[1].max() < 0.2
 
 
 def modal_mass_kg(reed, points, hz):

@@ -25,6 +25,7 @@ from fitting.modal.fit import (
 from fitting.modal.model import (
     DRIVE_DOF,
     OUT_OF_PHASE,
+    Forms,
     Model,
     State,
     _degrees,
@@ -40,7 +41,7 @@ from fitting.modal.normal_equations import (
     negative_gradient,
 )
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
-from fitting.modal.posterior import Posterior
+from fitting.modal.posterior import Posterior, _by_parameters
 from fitting.modal.refit import _moved
 from fitting.modal.rounds import LAST, one_round
 from tests.numbers import cents, complex_normal
@@ -159,6 +160,7 @@ def planted(
         np.zeros((2, modes, modes)),
         DRIVE_HZ[[0, -1]],
         np.zeros((2, modes, modes)),
+        np.ones(modes),
     )
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
 
@@ -754,10 +756,10 @@ class Point:
 
     def amplitude(self, x):
         state = replace(self.state, x=x)
-        return terms(self.model, state).amplitude(state)
+        return terms(self.model, state).amplitude
 
     def cost(self, state):
-        amplitude = terms(self.model, state).amplitude(state)
+        amplitude = terms(self.model, state).amplitude
         misfit = float(np.sum(self.data.whitened_residual(amplitude, state.shared) ** 2))
         known = state.shared @ (self.data.precision @ state.shared - 2 * self.data.pull)
         return misfit + known + self.prior.cost(state.x) + drive_prior_at(self.model, state).cost
@@ -781,8 +783,9 @@ def point():
         MODE_HZ[:5],
         stiffening,
         active,
-        0.3 * rng.standard_normal((2, 5, 5)),
-        0.005 * rng.standard_normal((len(k), 5, 5)),
+        Forms(np.zeros((2, 5, 5)), np.zeros((len(k), 5, 5)), np.ones(5)),
+        0.1 * rng.standard_normal((2, 5, 5)) * (1 - np.eye(5)),
+        0.005 * rng.standard_normal((len(k), 5, 5)) * (1 - np.eye(5)),
     )
     x = 0.1 * rng.standard_normal((3 + 5, model.slots))
     x[:3, 10] = np.log(MODE_HZ[active]) + 0.004 * rng.standard_normal(3)
@@ -804,10 +807,9 @@ def point():
 
 
 def in_phase(point):
-    """The same model, without losses and sound by which modes are out of phase."""
-    model = point.model
-    none = np.zeros_like(model.loss_mixing), np.zeros_like(model.sound)
-    return replace(point, model=replace(model, loss_mixing=none[0], sound=none[1]))
+    """The same, without losses and sound by which modes are out of phase."""
+    none = np.zeros_like(point.model.losses), np.zeros_like(point.model.sound)
+    return terms(replace(point.model, losses=none[0], sound=none[1]), point.state)
 
 
 def differences(function, x, step=1e-6):
@@ -820,17 +822,40 @@ def differences(function, x, step=1e-6):
     return np.array(slopes).reshape(*x.shape, *np.shape(slopes[0]))
 
 
-def test_derivatives_in_phase_are_scalars_times_vectors(point):
-    point = in_phase(point)
+def test_derivatives_are_scalars_times_vectors(point):
+    """Those of participations and logarithms times what forces move, those of mixings times S."""
     model, state = point.model, point.state
-    now = terms(model, state)
-    vectors = np.concatenate([now.shapes[model.active], model.reference])
-    given = np.einsum("kvp,vj->vpkj", scalars(model, state, now), vectors)
+    now, count = terms(model, state), len(model.active)
+    by_force = now.moved_by_forces()
+    assert np.abs(by_force - in_phase(point).moved_by_forces()).max() > 0.1
+    vectors = np.concatenate([by_force[:, model.active], by_force], axis=1)
+    own = scalars(model, state, now)
+    given = np.einsum("kvp,kvj->vpkj", own, vectors)
+    mixing = np.einsum("kvp,vj->vpkj", own[:, count:, :count], model.reference)
+    given[count:, :count] = mixing
     expected = differences(point.amplitude, state.x)
     free = point.prior.free
     assert np.count_nonzero(free) > 45
     scale = np.abs(expected[free]).max()
     assert given[free] == pytest.approx(expected[free], abs=1e-6 * scale)
+
+
+def test_what_a_mode_receives_has_the_derivatives_of_all_that_moves_it(point):
+    """Its own participation, and what the others add out of phase."""
+    model, state, free = point.model, point.state, point.prior.free
+    now = terms(model, state)
+    assert np.abs(now.received(state) / now.participation - 1).max() > 0.01
+    for a, k in ((0, 2), (2, 7)):
+
+        def force(other, a=a, k=k):
+            there = terms(model, other)
+            return (there.received(other) * np.exp(other.log_drive)[:, None])[k, model.active[a]]
+
+        by_x = differences(lambda x, force=force: force(replace(state, x=x)), state.x)
+        by_all = differences(lambda z, force=force: force(replace(state, shared=z)), state.shared)
+        expected = np.concatenate([by_x[free], by_all[:OUT_OF_PHASE]])
+        given = _by_parameters(model, point.prior, state, now, a, k)
+        assert given == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 def test_gradients_are_minus_half_the_slope_of_the_cost(point):
@@ -862,10 +887,10 @@ def test_matrices_are_those_of_the_derivatives(point):
     state = point.state
     here = equations(model, data, point.prior, evaluate(model, data, point.prior, state))
     by_x = differences(point.amplitude, state.x)[point.prior.free]
-    amplitude = terms(model, state).amplitude(state)
+    amplitude = terms(model, state).amplitude
 
     def at_phase(z):
-        return terms(model, state).amplitude(replace(state, shared=z))
+        return terms(model, replace(state, shared=z)).amplitude
 
     eye = np.eye(len(amplitude))
     by_drive = np.concatenate([eye[:, :, None] * amplitude, 1j * eye[:, :, None] * amplitude])
@@ -910,7 +935,7 @@ def test_parameters_follow_the_ripple_as_their_derivatives_say(point, monkeypatc
     ripple = quiet_ripple(model.hz, HELD_LEVEL)
     model = replace(model, ripple=ripple)
     # With small residuals, second derivatives of the amplitudes matter less.
-    data = replace(point.data, amplitude=terms(model, point.state).amplitude(point.state))
+    data = replace(point.data, amplitude=terms(model, point.state).amplitude)
 
     def at(log_size, state):
         other = replace(model, ripple=replace(ripple, log_size=log_size))

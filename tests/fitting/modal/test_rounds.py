@@ -94,7 +94,7 @@ def test_the_scale_of_a_start_does_not_change_what_is_compared(sweep):
         model, given, state = begun(sweep)
         scale = wider * participation_scale(model, state)
         given = replace(given, prior=rescaled(given.prior, model, LAST, scale))
-        found = Optimum.of(model, one_round(model, given, state, NOISE_ALONE, 40))
+        found = Optimum.of(one_round(model, given, state, NOISE_ALONE, 40))
         again = _compared(Search(model, given, [found]), NOISE_ALONE).optima[0]
         before.append(found.log_evidence)
         after.append(again.log_evidence)
@@ -106,7 +106,7 @@ def test_the_scale_of_a_start_does_not_change_what_is_compared(sweep):
 @pytest.mark.parametrize(("weight", "looked"), [(0.0, 1), (-19.0, 0)])
 def test_lines_are_looked_for_only_where_none_is_expected_yet(sweep, monkeypatch, weight, looked):
     model, given, state = begun(sweep)
-    found = Optimum.of(model, one_round(model, given, state, NOISE_ALONE, 3))
+    found = Optimum.of(one_round(model, given, state, NOISE_ALONE, 3))
     found = replace(found, model=replace(model, line_weight=weight))
     asked = []
 
@@ -171,7 +171,7 @@ def test_displacements_respond_as_a_state_would_in_the_light_in_which_they_were_
     brighter, rng = 0.05, np.random.default_rng(5)
     small = np.zeros((131, FUNCTIONS, FUNCTIONS), complex)
     small[0] = -np.eye(FUNCTIONS)
-    modelled = terms(model, state).amplitude(state)
+    modelled = terms(model, state).amplitude
     true = modelled / (1 - brighter)
     measured = true * (1 + 0.3 * rng.standard_normal(true.shape))
     response = np.zeros((len(measured), 2 * FUNCTIONS, 131))
@@ -286,11 +286,11 @@ def test_errors_are_as_large_as_residuals_show(sweep):
     model, given, state = begun(sweep)
     end = one_round(model, given, state, NOISE_ALONE, 20)
     own = logs_among_free(model, given.prior)
-    found = Optimum.of(model, replace(end, misfit=4.0))
+    found = Optimum.of(replace(end, misfit=4.0))
     np.testing.assert_allclose(found.covariance, 4 * end.covariance[np.ix_(own, own)])
     np.testing.assert_allclose(
         found.magnitude_covariance,
-        4 * Optimum.of(model, replace(end, misfit=1.0)).magnitude_covariance,
+        4 * Optimum.of(replace(end, misfit=1.0)).magnitude_covariance,
     )
 
 

@@ -46,7 +46,7 @@ class ShapeBasis:
     stiffening : (m,) float
         Exponent of the growth of a mode's stiffness with frequency near its resonance.
     shares : (2, m, m) float
-        G of `fitting.modal.out_of_phase` between modes of unit elastic energy, of shear and of the
+        G of `fitting.modal.losses` between modes of unit elastic energy, of shear and of the
         clamp.
     sound_hz : (h,) float
         Frequencies of `sound`.

@@ -7,10 +7,10 @@ from scipy import linalg
 
 from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.field_drift import FIRST_WALK, FieldDrift
+from fitting.modal.losses import expected_shared
 from fitting.modal.model import LOSS, TAIL_TERMS, Model, Stage, State, stage_prior, terms
 from fitting.modal.noise import Noise, data_of
 from fitting.modal.optimiser import minimise_cost
-from fitting.modal.out_of_phase import expected_shared
 from fitting.modal.rounds import FIRST_SHARING, LAST, Given, Scatter, fixed, shared_at
 from holography.arrays import Array, ComplexArray
 

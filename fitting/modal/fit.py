@@ -16,7 +16,7 @@ All parameters are found by one damped least-squares fit to the amplitudes of
 elements as by a perturbation: the more, the closer two modes are in frequency. All displacements
 may have a common-mode error, because object field and vibration are partly confounded (see
 `fitting.holograms.object_field`); it drifts slowly. Modes are a little out of phase (see
-`fitting.modal.out_of_phase`). The discrepancy of the model is estimated from the residuals and
+`fitting.modal.losses`). The discrepancy of the model is estimated from the residuals and
 added to the noise, and the ripple of the drive and its lines from the drive that was found.
 """
 
@@ -31,11 +31,11 @@ from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.drive.prior import HELD_LEVEL, DriveForm, quiet_ripple
 from fitting.modal.field_drift import covariance_by_other_changes
 from fitting.modal.first_state import FIRST_SCATTER, at_level, participation_scale, staged
+from fitting.modal.losses import connected_by, expected_shared, forms_of, shared_drift
 from fitting.modal.modal_fit import ModalFit
-from fitting.modal.model import DRIVE_DOF, OUT_OF_PHASE, Model, Prior, State, stage_prior, terms
+from fitting.modal.model import DRIVE_DOF, LOSS_PARAMETERS, Model, Prior, State, stage_prior, terms
 from fitting.modal.noise import Noise, noise_of
 from fitting.modal.optimiser import inverse
-from fitting.modal.out_of_phase import between_modes, expected_shared, forms_of, shared_drift
 from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
 from fitting.modal.rounds import (
     LAST,
@@ -47,7 +47,6 @@ from fitting.modal.rounds import (
     in_rounds,
     influence,
     likeliest,
-    logs_among_free,
     one_round,
     probabilities,
 )
@@ -182,8 +181,7 @@ def _model(
     shifts = np.log(centre_hz / basis.hz[active])
     reference_hz = basis.hz * np.exp(np.median(shifts))
     reference_hz[active] = centre_hz
-    forms = forms_of(basis, reference_hz, drive_hz)
-    losses, sound = between_modes(forms, np.eye(len(reference_hz)))
+    count = len(reference_hz)
     model = Model(
         drive_hz,
         np.log(volts),
@@ -194,11 +192,12 @@ def _model(
         reference_hz,
         basis.stiffening,
         active,
-        forms,
-        losses,
-        sound,
+        forms_of(basis, reference_hz, drive_hz),
+        np.zeros((2, count, count)),
+        np.zeros((len(drive_hz), count, count)),
+        np.zeros((3, count)),
     )
-    return model, centre_hz
+    return connected_by(model, np.eye(count)), centre_hz
 
 
 def _begun(
@@ -215,14 +214,14 @@ def _again(
 ) -> tuple[Model, Given, State]:
     """Start from known modes: only the drive of every hologram is fitted to the displacements.
 
-    What is out of phase belongs to these modes; other parameters of the light do not.
+    What modes lose belongs to these modes; other parameters of the light do not.
     """
     noise, drift = noise_of(displacements), shared_drift(displacements)
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)
     shared = expected_shared(drift)
-    shared[:OUT_OF_PHASE] = known.state.out_of_phase
+    shared[:LOSS_PARAMETERS] = known.state.loss_parameters
     state = replace(known.state, log_drive=np.log(drive), shared=shared)
     model = at_level(model, state)
     return model, Given(displacements, drift, noise, _last_prior(model, state, centre_hz)), state
@@ -262,8 +261,8 @@ def _finish(
     posterior = Posterior.of(end.here, end.covariance, factor)
     shared = posterior.shared(len(state.shared))
     # The first values are no error of the light.
-    of_light = end.drift.covariance(shared)[:, OUT_OF_PHASE:, OUT_OF_PHASE:]
-    count, follow = len(model.active), influence(model, end, logs_among_free(model, prior))
+    of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
+    count, follow = len(model.active), influence(best)
     covariance = covariance + _by_other_changes(displacements, end, follow)
     spread = np.zeros_like(state.x)
     deviations = np.sqrt(factor * np.diag(end.covariance))

@@ -7,7 +7,7 @@ The displacement of hologram k, in coordinates j of few functions, is
 
 with the exponent γ_m by which cane stiffens with frequency, shapes
 ``T_mj = Σ_n (δ_mn + E_mn) S_nj`` near those S of the finite elements (see `fitting.modal.fit`), and
-losses B that connect modes (see `fitting.modal.out_of_phase`).
+losses B that connect modes (see `fitting.modal.losses`).
 """
 
 from dataclasses import dataclass, replace
@@ -19,17 +19,22 @@ from scipy.special import jv
 from fitting.modal.drive.prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
 from holography.arrays import Array, ComplexArray
 from physics.parameters.chamber import Chamber
+from physics.reed.reduced.dynamics import PIVOT_HZ
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
-# Number of parameters by which modes are out of phase.
-OUT_OF_PHASE = 3
+# Number of parameters of what modes lose, of which the first three connect them.
+LOSS_PARAMETERS, CONNECTING = 5, 3
 # Loss factor of dry cane.
 LOSS = 0.03
 # Degrees of freedom of the drive's Student distributions, which admit excitation peaks.
 DRIVE_DOF = 4.0
-# Prior of a loss factor: within a factor of 1.5.
-_LOSS_SPREAD = 0.4
+# Prior of a loss factor around what cane, clamp and sound lose, in the logarithm. What this leaves
+# out is strain across the fibre: T4 has a third of its energy there, and wood loses up to twice as
+# much as along it (Labonnote et al., Wood Sci. Technol. 47, 1033, 2013). Half of that.
+_LOSS_SPREAD = 0.15
+# No mode is expected to lose less than this. Chosen: a tenth of dry cane.
+_LEAST_LOSS = 0.1 * LOSS
 # Shapes mix as if stiffness and mass were wrong by this fraction; largest and least coefficient.
 # Chosen: only a start. How much they mix is found in each fit (decision 0083).
 _PERTURBATION, _MOST_MIXING, _LEAST_MIXING = 0.08, 0.5, 5e-3
@@ -94,9 +99,11 @@ class Model:
     forms : Forms
         How losses and sound connect the shapes S.
     losses : (2, m, m) float
-        B of `fitting.modal.out_of_phase` between the modes, of shear and of the clamp.
+        B of `fitting.modal.losses` between the modes, of shear and of the clamp.
     sound : (k, m, m) float
         The same of sound.
+    own_losses : (3, m) float
+        B of shear, of the clamp and of sound at the resonance, between a mode and itself.
     line_weight : float
         Log weight of the lines that are expected of the drive, see
         `fitting.acoustics.poles.DriveLines`.
@@ -114,6 +121,7 @@ class Model:
     forms: Forms
     losses: Array
     sound: Array
+    own_losses: Array
     line_weight: float = 0.0
 
     @property
@@ -137,8 +145,8 @@ class State:
         Parameters, one row for each vector (see `Model`).
     log_drive : (k,) complex
     shared : (p,) float
-        What all holograms share: differences of loss factors, and sound relative to that of a free
-        plate (see `fitting.modal.out_of_phase`), then parameters of the common-mode error.
+        What all holograms share: what modes lose (see `fitting.modal.losses`), then
+        parameters of the common-mode error.
     scatter : (k,) float
         Of single holograms around a smooth log magnitude of the drive.
     gain : float
@@ -152,9 +160,9 @@ class State:
     gain: float = FIRST_GAIN
 
     @property
-    def out_of_phase(self) -> Array:
-        """Differences of loss factors, and sound relative to that of a free plate (3,)."""
-        return self.shared[:OUT_OF_PHASE]
+    def loss_parameters(self) -> Array:
+        """What modes lose (5,), see `fitting.modal.losses`."""
+        return self.shared[:LOSS_PARAMETERS]
 
 
 @dataclass(frozen=True)
@@ -211,13 +219,20 @@ class Terms:
         return found
 
 
+def own_resonances(model: Model, state: State) -> tuple[Array, Array]:
+    """Return frequencies (m,) in Hz and loss factors (m,) of modes that nothing connects."""
+    count, first = len(model.active), 2 * model.powers.shape[1]
+    hz, loss = model.reference_hz.copy(), np.full(len(model.reference), LOSS)
+    hz[model.active] = np.exp(state.x[:count, first])
+    loss[model.active] = np.exp(state.x[:count, first + 1])
+    return hz, loss
+
+
 def terms(model: Model, state: State) -> Terms:
     """Evaluate the model for a state."""
     x, active, passive = state.x, model.active, model.passive
     count, powers = len(active), model.powers.shape[1]
-    hz, loss = model.reference_hz.copy(), np.full(len(model.reference), LOSS)
-    hz[active] = np.exp(x[:count, 2 * powers])
-    loss[active] = np.exp(x[:count, 2 * powers + 1])
+    hz, loss = own_resonances(model, state)
     p = np.zeros((len(hz), powers), complex)
     p[active] = x[:count, :powers] + 1j * x[:count, powers : 2 * powers]
     tail = x[count + passive, count : count + 2 * TAIL_TERMS]
@@ -226,7 +241,7 @@ def terms(model: Model, state: State) -> Terms:
     shapes[active] += x[count:, :count].T @ model.reference
     ratio = (model.hz[:, None] / hz) ** (2 - model.stiffening)
     participation: ComplexArray = model.powers.astype(complex) @ p.T
-    *losses, sound = state.out_of_phase
+    *losses, sound = state.loss_parameters[:CONNECTING]
     dynamic = 1j * (np.tensordot(losses, model.losses, axes=1) + sound * model.sound)
     own = np.arange(len(hz))
     dynamic[:, own, own] += 1 + 1j * loss - ratio
@@ -242,11 +257,11 @@ def forces_by_logs(model: Model, terms: Terms) -> tuple[ComplexArray, ComplexArr
     return -exponent * terms.ratio[:, active] * moved, -1j * terms.loss[active] * moved
 
 
-def forces_out_of_phase(model: Model, terms: Terms) -> ComplexArray:
-    """Return the forces (3, k, m) that do what a unit of each number out of phase does."""
-    losses = terms.modal @ model.losses.swapaxes(1, 2)
-    sound = (model.sound @ terms.modal[..., None])[..., 0]
-    found: ComplexArray = -1j * np.concatenate([losses, sound[None]])
+def forces_by_losses(model: Model, terms: Terms) -> ComplexArray:
+    """Return the forces (5, k, m) that do what a unit of each number of losses does."""
+    found = np.zeros((LOSS_PARAMETERS, *terms.modal.shape), complex)
+    found[: CONNECTING - 1] = -1j * terms.modal @ model.losses.swapaxes(1, 2)
+    found[CONNECTING - 1] = -1j * (model.sound @ terms.modal[..., None])[..., 0]
     return found
 
 
@@ -278,8 +293,8 @@ def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> tupl
     Returns
     -------
     by_parameters : (v, p) float
-    out_of_phase : (3, k) float
-        By the numbers that modes are out of phase by, for each hologram.
+    by_losses : (5, k) float
+        By the numbers of losses, for each hologram.
     """
     active, count = model.active, len(model.active)
     on_shapes, on_forces = pull @ model.reference.T, terms.on_forces(pull)
@@ -288,8 +303,8 @@ def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> tupl
     by_vector = scalars(model, state, terms).transpose(1, 2, 0)
     found: Array = (by_vector @ on_vectors.T[..., None])[..., 0].real
     found[count:, :count] = (on_shapes.T @ terms.modal[:, active]).real
-    out_of_phase = np.sum(forces_out_of_phase(model, terms) * on_forces, axis=2).real
-    return found, out_of_phase
+    by_losses = np.sum(forces_by_losses(model, terms) * on_forces, axis=2).real
+    return found, by_losses
 
 
 @dataclass(frozen=True)
@@ -338,6 +353,52 @@ class Stage:
     detuning: float
     mixing: float
     iterations: int
+
+
+@dataclass(frozen=True)
+class ExpectedLoss:
+    """What modes are expected to lose.
+
+    Attributes
+    ----------
+    prior : Prior
+        Expects this of the log loss factors.
+    slots : (2, a) int
+        Places of these among the parameters.
+    slopes : (a, 5) float
+        Derivatives of what is expected by the numbers of losses.
+    """
+
+    prior: Prior
+    slots: NDArray[np.intp]
+    slopes: Array
+
+    @property
+    def precision(self) -> Array:
+        """Precision (a,) of the log loss factors."""
+        found: Array = self.prior.precision[tuple(self.slots)]
+        return found
+
+
+def expected_loss(model: Model, prior: Prior, state: State) -> ExpectedLoss:
+    """Expect of modes what cane, clamp and sound lose together.
+
+    The loss factors of cane and clamp grow with a power of frequency.
+    """
+    active, count = model.active, len(model.active)
+    shear, clamp, sound = model.own_losses[:, active]
+    by_shear, by_clamp, by_sound, cane, growth = state.loss_parameters
+    log_hz = np.log(model.reference_hz[active] / PIVOT_HZ)
+    grown = np.exp(growth * log_hz)
+    solid = grown * (cane + by_shear * shear + by_clamp * clamp)
+    loss = solid + by_sound * sound
+    columns = [grown * shear, grown * clamp, sound, grown, solid * log_hz]
+    slopes = np.where(loss[:, None] > _LEAST_LOSS, np.stack(columns, axis=1), 0)
+    loss = np.maximum(loss, _LEAST_LOSS)
+    slots = np.stack([np.arange(count), np.full(count, 2 * model.powers.shape[1] + 1)])
+    centre = prior.centre.copy()
+    centre[tuple(slots)] = np.log(loss)
+    return ExpectedLoss(replace(prior, centre=centre), slots, slopes / loss[:, None])
 
 
 def stage_prior(model: Model, stage: Stage, centre_hz: Array, scale: Array) -> Prior:

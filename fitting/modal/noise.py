@@ -14,7 +14,7 @@ from scipy import optimize
 from fitting.holograms.linearisation import triangle
 from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.field_drift import FieldDrift, SharedError
-from fitting.modal.model import OUT_OF_PHASE
+from fitting.modal.model import LOSS_PARAMETERS
 from holography.arrays import Array, ComplexArray
 
 # Limits of the discrepancy's standard deviation, as a fraction of a hologram's vibration.
@@ -56,7 +56,7 @@ class Data:
     def whitened_residual(self, amplitude: ComplexArray, shared: Array) -> Array:
         """Return the whitened residuals (k, 2j) of amplitudes (k, j) that a model predicts."""
         whitened_residual = self.root @ parts(self.amplitude - amplitude)[..., None]
-        shift = self.drift.shift(shared)[:, OUT_OF_PHASE:]
+        shift = self.drift.shift(shared)[:, LOSS_PARAMETERS:]
         found: Array = (whitened_residual + self.response @ shift[..., None])[..., 0]
         return found
 
@@ -81,7 +81,7 @@ class Data:
     @cached_property
     def drifting_pulls(self) -> Array:
         """Those of `pulls` that drift, (k, 2, j r), for real and imaginary parts."""
-        which = self.drift.drifting - OUT_OF_PHASE
+        which = self.drift.drifting - LOSS_PARAMETERS
         count, size = len(self.pulls), self.amplitude.shape[1] * len(which)
         return np.ascontiguousarray(self.pulls[:, :, which]).reshape(count, 2, size)
 
@@ -100,12 +100,12 @@ class Data:
     def common_mode_products(self) -> Array:
         """Products (p, p) of the responses to the parameters that all holograms share.
 
-        Those by which modes are out of phase are left 0: they depend on the state.
+        Those of losses are left 0: they depend on the state.
         """
-        rows = OUT_OF_PHASE + self.response.shape[2]
+        rows = LOSS_PARAMETERS + self.response.shape[2]
         products = np.zeros((rows, rows, len(self.response)))
         each = self.response.swapaxes(1, 2) @ self.response
-        products[OUT_OF_PHASE:, OUT_OF_PHASE:] = each.transpose(1, 2, 0)
+        products[LOSS_PARAMETERS:, LOSS_PARAMETERS:] = each.transpose(1, 2, 0)
         return self.drift.products(products)
 
 

@@ -19,15 +19,17 @@ from fitting.holograms.linearisation import triangle
 from fitting.modal.drive.prior import DrivePrior
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.model import (
-    OUT_OF_PHASE,
+    LOSS_PARAMETERS,
     TAIL_TERMS,
+    ExpectedLoss,
     Model,
     Prior,
     State,
     Terms,
     drive_prior_at,
+    expected_loss,
     forces_by_logs,
-    forces_out_of_phase,
+    forces_by_losses,
     slopes,
     terms,
 )
@@ -81,13 +83,13 @@ class _Group:
 class _Columns:
     """Derivatives of the amplitudes, with their products through the information.
 
-    In this order: own parameters, the parameters by which modes are out of phase, log magnitude and
+    In this order: own parameters, what modes lose, log magnitude and
     phase of the drive. Of own parameters, all real functions of frequency are left out.
 
     Attributes
     ----------
     own : slice
-    out_of_phase : slice
+    losses : slice
     drive : slice
     seen : (k, c, 2j) float
         Columns times the information.
@@ -98,7 +100,7 @@ class _Columns:
     """
 
     own: slice
-    out_of_phase: slice
+    losses: slice
     drive: slice
     seen: Array
     products: Array
@@ -106,8 +108,8 @@ class _Columns:
 
     def with_shared(self, rows: slice) -> Array:
         """Return products (k, r, s + q) with the derivatives by what holograms share."""
-        of_phase = self.products[:, rows, self.out_of_phase]
-        return np.concatenate([of_phase, self.with_light[:, rows]], axis=2)
+        of_losses = self.products[:, rows, self.losses]
+        return np.concatenate([of_losses, self.with_light[:, rows]], axis=2)
 
 
 def _columns(model: Model, data: Data, at: "Evaluation") -> _Columns:
@@ -120,17 +122,17 @@ def _columns(model: Model, data: Data, at: "Evaluation") -> _Columns:
         driven[:, active, None] * both,
         np.stack(by_log, axis=2),
         driven[:, passive, None] * both,
-        forces_out_of_phase(model, now).swapaxes(0, 1) @ by_force,
+        forces_by_losses(model, now).swapaxes(0, 1) @ by_force,
         whole[:, None] * both,
     ]
     count, size = len(whole), whole.shape[1]
     columns = np.concatenate([each.reshape(count, -1, size) for each in groups], axis=1)
     columns = np.concatenate([columns.real, columns.imag], axis=2)
-    seen, first = columns @ data.information, columns.shape[1] - OUT_OF_PHASE - 2
+    seen, first = columns @ data.information, columns.shape[1] - LOSS_PARAMETERS - 2
     return _Columns(
         slice(first),
-        slice(first, first + OUT_OF_PHASE),
-        slice(first + OUT_OF_PHASE, None),
+        slice(first, first + LOSS_PARAMETERS),
+        slice(first + LOSS_PARAMETERS, None),
         seen,
         seen @ columns.swapaxes(1, 2),
         # The common-mode error moves the amplitudes as if the model moved the other way.
@@ -195,9 +197,14 @@ def equations(model: Model, data: Data, prior: Prior, at: "Evaluation") -> Equat
     ):
         matrix[rows[rows >= 0], first:] = with_shared[rows >= 0]
         coupling[rows[rows >= 0]] = with_drive[rows >= 0]
-    matrix[first:, :first] = matrix[:first, first:].T
     matrix[first:, first:] = _shared_with_shared(columns, data) + data.precision
     matrix[np.arange(first), np.arange(first)] += prior.precision[prior.free]
+    expected = at.expected
+    losses, by_losses = number[tuple(expected.slots)], slice(first, first + LOSS_PARAMETERS)
+    known = expected.precision[:, None] * expected.slopes
+    matrix[losses, by_losses] -= known
+    matrix[by_losses, by_losses] += expected.slopes.T @ known
+    matrix[first:, :first] = matrix[:first, first:].T
     drive = columns.products[:, columns.drive, columns.drive]
     return Equations(
         matrix,
@@ -217,6 +224,7 @@ class Evaluation:
     residual : (k, 2j) float
         Whitened residuals, see `Data.whitened_residual`.
     drive_prior : DrivePrior
+    expected : ExpectedLoss
     cost : float
         Twice the negative log of the posterior density.
     """
@@ -225,6 +233,7 @@ class Evaluation:
     terms: Terms
     residual: Array
     drive_prior: DrivePrior
+    expected: ExpectedLoss
     cost: float
 
 
@@ -232,11 +241,11 @@ def evaluate(model: Model, data: Data, prior: Prior, state: State) -> Evaluation
     """Compute residuals and cost of a state."""
     now, drive_prior, shared = terms(model, state), drive_prior_at(model, state), state.shared
     residual = data.whitened_residual(now.amplitude, shared)
-    known = float(shared @ (data.precision @ shared - 2 * data.pull)) + prior.cost(state.x)
+    expected = expected_loss(model, prior, state)
+    known = float(shared @ (data.precision @ shared - 2 * data.pull)) + expected.prior.cost(state.x)
+    cost = float(np.sum(residual**2)) + known + drive_prior.cost
     state = replace(state, scatter=drive_prior.scatter)
-    return Evaluation(
-        state, now, residual, drive_prior, float(np.sum(residual**2)) + known + drive_prior.cost
-    )
+    return Evaluation(state, now, residual, drive_prior, expected, cost)
 
 
 def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) -> Array:
@@ -249,13 +258,16 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
     of_light = -(residual[:, None] @ data.response)[:, 0]
     pull = force[:, : force.shape[1] // 2] - 1j * force[:, force.shape[1] // 2 :]
     of_drive = np.sum(now.amplitude * pull, axis=1)
-    of_parameters, of_phase = slopes(model, state, now, pull)
-    offset = prior.precision[free] * (state.x - prior.centre)[free]
+    of_parameters, of_losses = slopes(model, state, now, pull)
+    offset = np.zeros_like(state.x)
+    offset[free] = prior.precision[free] * (state.x - at.expected.prior.centre)[free]
+    of_shared = data.drift.gathered(np.concatenate([of_losses, of_light.T]))
+    of_shared -= data.precision @ state.shared - data.pull
+    of_shared[:LOSS_PARAMETERS] += offset[tuple(at.expected.slots)] @ at.expected.slopes
     return np.concatenate(
         [
-            of_parameters[free] - offset,
-            data.drift.gathered(np.concatenate([of_phase, of_light.T]))
-            - (data.precision @ state.shared - data.pull),
+            of_parameters[free] - offset[free],
+            of_shared,
             of_drive.real + at.drive_prior.gradient,
             -of_drive.imag,
         ]
@@ -328,9 +340,9 @@ def _own_with_drive(group: _Group, columns: _Columns) -> Array:
 def _shared_with_shared(columns: _Columns, data: Data) -> Array:
     """Return the products (p, p) of what holograms share."""
     answer: Array = data.common_mode_products.copy()
-    of_phase = columns.with_shared(columns.out_of_phase).transpose(1, 2, 0)
-    answer[:OUT_OF_PHASE] = data.drift.gathered(of_phase)
-    answer[:, :OUT_OF_PHASE] = answer[:OUT_OF_PHASE].T
+    of_losses = columns.with_shared(columns.losses).transpose(1, 2, 0)
+    answer[:LOSS_PARAMETERS] = data.drift.gathered(of_losses)
+    answer[:, :LOSS_PARAMETERS] = answer[:LOSS_PARAMETERS].T
     return answer
 
 
@@ -398,7 +410,7 @@ class _Mixing:
         """Return the products (m a, q) with what holograms share."""
         drift, count = data.drift, self.factors.shape[1]
         once = np.ones((count, 1))
-        of_phase = self._summed(once, columns.seen[:, columns.out_of_phase])[0]
+        of_losses = self._summed(once, columns.seen[:, columns.losses])[0]
         light = self._summed(once, -data.pulls.swapaxes(1, 2))[0]
         nodes = sum(
             _weighed(_both(factor, drift.share), -half)
@@ -407,7 +419,7 @@ class _Mixing:
         active, size = self.factors.shape[2], self.shapes.shape[1]
         split = np.asarray(nodes).reshape(active, drift.share.shape[1], size, len(drift.drifting))
         moved = (self.shapes @ split).transpose(2, 0, 1, 3)
-        constant = np.concatenate([of_phase, light], axis=2)
+        constant = np.concatenate([of_losses, light], axis=2)
         rows, split_at = len(self.positions), drift.constant
         return np.concatenate(
             [

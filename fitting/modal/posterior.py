@@ -13,7 +13,7 @@ from fitting.modal.model import (
     Terms,
     drive_prior_at,
     forces_by_logs,
-    forces_out_of_phase,
+    forces_by_losses,
     scalars,
 )
 from fitting.modal.normal_equations import Equations
@@ -181,7 +181,7 @@ def _by_parameters(
 ) -> ComplexArray:
     """Return derivatives (q,) of the force on an active mode in a hologram, with that by others.
 
-    Those by the free parameters, then by the numbers that modes are out of phase by.
+    Those by the free parameters, then by the numbers of losses.
     """
     active, count, powers = model.active, len(model.active), model.powers.shape[1]
     m = active[a]
@@ -194,7 +194,7 @@ def _by_parameters(
     # The dynamic stiffness of the mode itself is not that force.
     for slot, force in enumerate(forces_by_logs(model, now), start=2 * powers):
         slopes[a, slot] -= force[k, a]
-    return np.concatenate([slopes[prior.free], forces_out_of_phase(model, now)[:, k] @ by_forces])
+    return np.concatenate([slopes[prior.free], forces_by_losses(model, now)[:, k] @ by_forces])
 
 
 def _numbers(prior: Prior) -> IndexArray:

@@ -17,8 +17,10 @@ from fitting.modal.drive.prior import (
     found_ripple,
 )
 from fitting.modal.field_drift import FieldDrift, SharedError, found_walk, shared_error
+from fitting.modal.losses import connected, resonances, with_loss_parameters
 from fitting.modal.model import (
-    OUT_OF_PHASE,
+    CONNECTING,
+    LOSS_PARAMETERS,
     Model,
     Prior,
     Stage,
@@ -30,7 +32,6 @@ from fitting.modal.model import (
 from fitting.modal.noise import Data, Noise, balanced, data_of, inflated, sharing_holograms
 from fitting.modal.normal_equations import Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
-from fitting.modal.out_of_phase import connected, with_out_of_phase
 from fitting.modal.posterior import Posterior
 from holography.arrays import Array, IndexArray
 
@@ -191,7 +192,7 @@ def one_round(
             ),
             mixing=_found_mixing(given.prior, prior, len(model.active), state, covariance),
         ),
-        common_mode_shift=drift.shift(state.shared)[:, OUT_OF_PHASE:],
+        common_mode_shift=drift.shift(state.shared)[:, LOSS_PARAMETERS:],
         drift=drift,
         noise=inflated(noise, whitened_residual),
     )
@@ -270,12 +271,12 @@ def shared_at(model: Model, given: Given, state: State, walk: float) -> SharedEr
     """Return the error that displacements share, where they respond as those of a state would."""
     measured, error = given.displacements.amplitude_rad, given.displacements.common_mode
     modelled, size = terms(model, state).amplitude, measured.shape[1]
-    shift = given.drift.shift(state.shared)[:, OUT_OF_PHASE:]
+    shift = given.drift.shift(state.shared)[:, LOSS_PARAMETERS:]
     at_model = error.responding_at(modelled, measured)
     moved = (at_model.response @ shift[..., None])[..., 0]
     expected = modelled - moved[:, :size] - 1j * moved[:, size:]
     at_state = error.responding_at(expected, measured)
-    return shared_error(with_out_of_phase(at_state), given.drift, walk)
+    return shared_error(with_loss_parameters(at_state), given.drift, walk)
 
 
 def _log_evidence(
@@ -301,6 +302,8 @@ class Optimum:
     log_evidence : float
     logs : (2a,) float
         Log frequencies and log loss factors of the active modes.
+    slopes : (2a, 2a + 3) float
+        See `fitting.modal.losses.Resonances`.
     covariance : (2a, 2a) float
         Their covariance, with that of the drive's ripple.
     magnitude_covariance : (k, k) float
@@ -313,6 +316,7 @@ class Optimum:
     end: Round
     log_evidence: float
     logs: Array
+    slopes: Array
     covariance: Array
     magnitude_covariance: Array
     factor: float
@@ -322,26 +326,29 @@ class Optimum:
         """Collect an optimum from the last round, and the ripple that it had."""
         # χ² of a round is not exactly as expected.
         model, factor = end.model, end.misfit
-        count, powers = len(model.active), model.powers.shape[1]
-        own = logs_among_free(model, end.prior)
-        covariance = factor * end.covariance[np.ix_(own, own)]
+        own, found_at = among_parameters(model, end.prior), resonances(model, end.state)
+        slopes = found_at.slopes
+        covariance = factor * slopes @ end.covariance[np.ix_(own, own)] @ slopes.T
         log_evidence = end.log_evidence + model.line_weight
         posterior = Posterior.of(end.here, end.covariance, 1.0)
         magnitude_covariance = factor * posterior.log_magnitude
         if found is not None:
             moved, louder = posterior.with_ripple(model, end.state)
-            covariance = covariance + moved[own] @ found.covariance @ moved[own].T
+            by_size = slopes @ moved[own]
+            covariance = covariance + by_size @ found.covariance @ by_size.T
             magnitude_covariance += louder @ found.covariance @ louder.T
             log_evidence += found.log_weight
-        logs = end.state.x[:count, 2 * powers : 2 * powers + 2].T.ravel()
-        return cls(model, end, log_evidence, logs, covariance, magnitude_covariance, factor)
+        logs = found_at.logs
+        return cls(model, end, log_evidence, logs, slopes, covariance, magnitude_covariance, factor)
 
 
-def logs_among_free(model: Model, prior: Prior) -> IndexArray:
-    """Return where log frequencies and log loss factors (2a,) are among the free parameters."""
+def among_parameters(model: Model, prior: Prior) -> IndexArray:
+    """Return where that is among all parameters by which resonances have `Optimum.slopes`."""
     powers, number = model.powers.shape[1], np.full(prior.free.shape, -1)
-    number[prior.free] = np.arange(np.count_nonzero(prior.free))
-    return number[: len(model.active), 2 * powers : 2 * powers + 2].T.ravel()
+    first = np.count_nonzero(prior.free)
+    number[prior.free] = np.arange(first)
+    own = number[: len(model.active), 2 * powers : 2 * powers + 2].T.ravel()
+    return np.concatenate([own, first + np.arange(CONNECTING)])
 
 
 @dataclass(frozen=True)
@@ -360,8 +367,10 @@ class Influence:
     light: Array
 
 
-def influence(model: Model, end: Round, which: IndexArray) -> Influence:
-    """Return how the free parameters `which` (r,) follow what was measured."""
+def influence(at: Optimum) -> Influence:
+    """Return how resonances follow what was measured: log frequencies, then log loss factors."""
+    model, end = at.model, at.end
+    which = among_parameters(model, end.prior)
     posterior, state, free = Posterior.of(end.here, end.covariance, 1.0), end.state, end.prior.free
     error = np.sqrt(np.diag(posterior.covariance)[which])
     along = posterior.covariance[:, which] / error
@@ -382,7 +391,10 @@ def influence(model: Model, end: Round, which: IndexArray) -> Influence:
     slopes = np.stack([residual(r, -_STEP) - residual(r, _STEP) for r in range(len(which))])
     # The covariance is the inverse of half the Gauss-Newton Hessian.
     scaled = (slopes * (error / (2 * _STEP))[:, None, None])[:, :, None]
-    return Influence((scaled @ end.data.root)[:, :, 0], (scaled @ end.data.response)[:, :, 0])
+    return Influence(
+        np.tensordot(at.slopes, (scaled @ end.data.root)[:, :, 0], axes=1),
+        np.tensordot(at.slopes, (scaled @ end.data.response)[:, :, 0], axes=1),
+    )
 
 
 def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> Optimum:

@@ -13,8 +13,10 @@ from fitting.modal import search
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.fit import _model
+from fitting.modal.losses import expected_shared, shared_drift
 from fitting.modal.model import (
-    OUT_OF_PHASE,
+    CONNECTING,
+    LOSS_PARAMETERS,
     TAIL_TERMS,
     Prior,
     rescaled,
@@ -23,7 +25,6 @@ from fitting.modal.model import (
 )
 from fitting.modal.noise import noise_of
 from fitting.modal.normal_equations import evaluate, negative_gradient
-from fitting.modal.out_of_phase import expected_shared, shared_drift
 from fitting.modal.posterior import Posterior
 from fitting.modal.rounds import (
     LAST,
@@ -32,9 +33,9 @@ from fitting.modal.rounds import (
     Scatter,
     _found_mixing,
     _with_mixing,
+    among_parameters,
     in_rounds,
     influence,
-    logs_among_free,
     one_round,
     probabilities,
     shared_at,
@@ -181,7 +182,7 @@ def test_displacements_respond_as_a_state_would_in_the_light_in_which_they_were_
     displacements = replace(given.displacements, amplitude_rad=measured, common_mode=error)
     drift = shared_drift(displacements)
     shared = np.zeros(drift.parameters)
-    shared[OUT_OF_PHASE] = brighter
+    shared[LOSS_PARAMETERS] = brighter
     there = replace(given, displacements=displacements, drift=drift)
     found = shared_at(model, there, replace(state, shared=shared), FIRST_WALK).response[:, :, 0]
     expected = -np.concatenate([true.real, true.imag], axis=1)
@@ -193,7 +194,7 @@ def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
     for scatter in (Scatter(0.1, FIRST_WALK), NOISE_ALONE):
         end = one_round(model, given, state, scatter, 40)
         state = end.state
-    own, data = logs_among_free(model, end.prior), end.data
+    own, data = among_parameters(model, end.prior), end.data
     change = 0.01 * complex_normal(np.random.default_rng(6), *data.amplitude.shape)
     other = replace(data, amplitude=data.amplitude + change)
     forces = [
@@ -202,9 +203,10 @@ def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
     ]
     force, of_drive = np.split(forces[1] - forces[0], [len(end.covariance)])
     posterior = Posterior.of(end.here, end.covariance, 1.0)
-    expected = end.covariance[own] @ (force - posterior.response @ of_drive)
+    at = Optimum.of(end)
+    expected = at.slopes @ end.covariance[own] @ (force - posterior.response @ of_drive)
     along = np.concatenate([change.real, change.imag], axis=1)
-    follow = influence(model, end, own)
+    follow = influence(at)
     found = np.sum(follow.amplitudes * along, axis=(1, 2))
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
 
@@ -219,7 +221,7 @@ def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):
     )  # fmt: skip
     model, given, state = begun(lit)
     end = one_round(model, given, state, NOISE_ALONE, 2)
-    follow = influence(model, end, logs_among_free(model, end.prior))
+    follow = influence(Optimum.of(end))
     light = 0.01 * rng.standard_normal((count, 131))
     moved = np.linalg.solve(end.data.root, end.data.response @ light[..., None])[..., 0]
     by_amplitudes = np.sum(follow.amplitudes * moved, axis=(1, 2))
@@ -231,7 +233,7 @@ def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):
 def test_noise_counts_once_and_a_discrepancy_as_often_as_holograms_share_it(sweep):
     model, given, state = begun(sweep)
     state = one_round(model, given, state, NOISE_ALONE, 40).state
-    own = logs_among_free(model, given.prior)
+    own = among_parameters(model, given.prior)[:-CONNECTING]
     quiet = replace(given, noise=replace(given.noise, variance=1e-8 * given.noise.variance))
 
     def errors(given, discrepancy, sharing):
@@ -285,9 +287,10 @@ def test_the_likelihood_of_a_hologram_is_that_of_its_residuals(shared_sweep):
 def test_errors_are_as_large_as_residuals_show(sweep):
     model, given, state = begun(sweep)
     end = one_round(model, given, state, NOISE_ALONE, 20)
-    own = logs_among_free(model, given.prior)
+    own = among_parameters(model, given.prior)[:-CONNECTING]
     found = Optimum.of(replace(end, misfit=4.0))
-    np.testing.assert_allclose(found.covariance, 4 * end.covariance[np.ix_(own, own)])
+    # No losses connect these modes.
+    np.testing.assert_allclose(found.covariance, 4 * end.covariance[np.ix_(own, own)], rtol=1e-6)
     np.testing.assert_allclose(
         found.magnitude_covariance,
         4 * Optimum.of(replace(end, misfit=1.0)).magnitude_covariance,

@@ -338,7 +338,8 @@ def test_lines_next_to_a_mode_are_left_out_and_the_others_are_expected():
     modes_5, functions = np.ones(5), np.eye(5)
     model = Model(
         HZ, np.zeros(len(HZ)), 4.0, ripple, np.ones((len(HZ), 1)), functions, 3e3 * modes_5,
-        0 * modes_5, np.arange(5), 0 * functions, np.zeros((len(HZ), 5, 5)),
+        0 * modes_5, np.arange(5), None, np.zeros((2, 5, 5)), np.zeros((len(HZ), 5, 5)),
+        np.zeros((3, 5)),
     )  # fmt: skip
     assert expecting(model, away_from(lines, lines.parameters[:, 0])) is model
     expected = expecting(model, distant)

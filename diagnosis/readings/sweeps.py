@@ -364,8 +364,8 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         loss_factor=modal.loss_factor[kept],
         stiffening=fitted.basis.stiffening_of(names),
         covariance=modal.covariance[np.ix_(both, both)],
-        force_rad=np.exp(at_own) * modal.participation[kept],
-        force_error=modal.participation_error[kept] / np.abs(modal.participation[kept]),
+        force_rad=np.exp(at_own) * modal.by_pressure[kept],
+        force_error=modal.by_pressure_error[kept] / np.abs(modal.by_pressure[kept]),
         mixing=modal.mixing[:, kept],
         mixing_error=modal.mixing_error[:, kept],
         mixing_spread=modal.mixing_spread[:, kept],
@@ -417,7 +417,7 @@ def _common(modal: ModalFit, kept: NDArray[np.intp], log_hz: Array) -> Array:
     """Log (k,) of what participations do in common around each frequency."""
     own = np.log(modal.hz[kept])
     near = 1 / (1 + ((log_hz[:, None] - own) / _NEAR) ** 2) ** 2
-    at_own = np.abs(modal.participation[kept])
+    at_own = np.abs(modal.by_pressure[kept])
     square = (np.abs(modal.participations[:, kept]) / at_own) ** 2
     common: Array = 0.5 * np.log(np.sum(near * square, axis=1) / np.sum(near, axis=1))
     return common

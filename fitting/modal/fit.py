@@ -36,7 +36,7 @@ from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import DRIVE_DOF, LOSS_PARAMETERS, Model, Prior, State, stage_prior, terms
 from fitting.modal.noise import Noise, noise_of
 from fitting.modal.optimiser import inverse
-from fitting.modal.posterior import Posterior, participation_error, resonant_displacements
+from fitting.modal.posterior import Posterior, participations, resonant_displacements
 from fitting.modal.rounds import (
     LAST,
     Given,
@@ -255,21 +255,19 @@ def _finish(
     magnitudes = [(each.end.state.log_drive.real, each.magnitude_covariance) for each in optima]
     model, end, factor = best.model, best.end, best.factor
     prior, state, now = end.prior, end.state, terms(model, end.state)
-    # Drive and participations have an undetermined common factor: the errors of participations are
-    # those for a given drive.
-    given_drive = factor * inverse(end.here.matrix)
     posterior = Posterior.of(end.here, end.covariance, factor)
     shared = posterior.shared(len(state.shared))
     # The first values are no error of the light.
     of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
     count, follow = len(model.active), influence(best)
     covariance = covariance + _by_other_changes(displacements, end, follow)
-    spread = np.zeros_like(state.x)
-    deviations = np.sqrt(factor * np.diag(end.covariance))
-    spread[prior.free] = deviations[: np.count_nonzero(prior.free)]
+    spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
     own_hz, own_loss = np.exp(logs.reshape(2, -1))
-    mixes = prior.free[count:, :count]
-    nearest = np.abs(np.log(model.hz[:, None] / own_hz)).argmin(axis=0)
+    mixes, expected = prior.free[count:, :count], prior.precision[prior.free] ** -0.5
+    # Drive and participations have an undetermined common factor: the errors of participations are
+    # those for a given drive.
+    given_drive = factor * inverse(end.here.matrix)
+    at_resonance = participations(model, prior, state, given_drive, own_hz)
     return ModalFit(
         names=tuple(names[m] for m in model.active),
         hz=own_hz,
@@ -281,10 +279,12 @@ def _finish(
         shapes=now.shapes[model.active],
         mixing=np.where(mixes, state.x[count:, :count], 0.0),
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
-        mixing_spread=np.where(mixes, _spread(prior)[count:, :count], 0.0),
+        mixing_spread=np.where(mixes, _in_rows(prior, expected)[count:, :count], 0.0),
         mixing_factor=end.scatter.mixing,
-        participation=now.received(state)[nearest, model.active],
-        participation_error=participation_error(model, prior, state, now, given_drive, nearest),
+        participation=at_resonance.received,
+        participation_error=at_resonance.received_error,
+        by_pressure=at_resonance.by_pressure,
+        by_pressure_error=at_resonance.by_pressure_error,
         participations=now.participation[:, model.active],
         drive=np.exp(state.log_drive),
         amplitude_rad=now.amplitude,
@@ -329,11 +329,11 @@ def _drive_forms(optima: Sequence[Optimum], weights: Array) -> tuple[DriveForm, 
     )
 
 
-def _spread(prior: Prior) -> Array:
-    """Return the prior standard deviations (v, p) of all parameters; 0 where they are fixed."""
-    spread: Array = np.zeros(prior.precision.shape)
-    spread[prior.free] = prior.precision[prior.free] ** -0.5
-    return spread
+def _in_rows(prior: Prior, of_parameters: Array) -> Array:
+    """Return numbers of the free parameters, and of others behind them, in rows (v, p); else 0."""
+    rows = np.zeros(prior.precision.shape)
+    rows[prior.free] = of_parameters[: np.count_nonzero(prior.free)]
+    return rows
 
 
 def _off(displacements: Displacements, noise: Noise) -> NDArray[np.bool_]:

@@ -44,11 +44,14 @@ class ModalFit:
     mixing_factor : float
         By which those priors are wider than a perturbation of usual size gives (decision 0083).
     participation : (a,) complex
-        Participation at the mode's own frequency, per unit of drive.
+        Participation at the mode's own frequency, per unit of drive, with what other modes add.
     participation_error : (a,) float
         Standard error of its magnitude for a given drive.
+    by_pressure : (a,) complex
+        The same without what other modes add.
+    by_pressure_error : (a,) float
     participations : (k, a) complex
-        Participations at all frequencies.
+        Those at all frequencies.
     drive : (k,) complex
         Drive of every hologram; its phase is arbitrary.
     amplitude_rad : (k, j) complex
@@ -93,6 +96,8 @@ class ModalFit:
     mixing_factor: float
     participation: ComplexArray
     participation_error: Array
+    by_pressure: ComplexArray
+    by_pressure_error: Array
     participations: ComplexArray
     drive: ComplexArray
     amplitude_rad: ComplexArray

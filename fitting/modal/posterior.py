@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.modal.model import (
@@ -15,6 +14,7 @@ from fitting.modal.model import (
     forces_by_logs,
     forces_by_losses,
     scalars,
+    terms,
 )
 from fitting.modal.normal_equations import Equations
 from holography.arrays import Array, ComplexArray, IndexArray
@@ -156,24 +156,50 @@ def resonant_displacements(
     return ResonantDisplacements(amplitude, covariance)
 
 
-def participation_error(
-    model: Model,
-    prior: Prior,
-    state: State,
-    now: Terms,
-    covariance: Array,
-    nearest: NDArray[np.intp],
-) -> Array:
-    """Return standard errors (a,) of participations at the holograms nearest to the modes.
+@dataclass(frozen=True)
+class Participations:
+    """Participations at the holograms nearest to modes, with standard errors, for a given drive.
 
-    They are those with what other modes add (`Terms.received`), for a given drive.
+    Attributes
+    ----------
+    received : (a,) complex
+        With what other modes add (`Terms.received`).
+    received_error : (a,) float
+    by_pressure : (a,) complex
+        Without.
+    by_pressure_error : (a,) float
     """
-    errors, drive = [], np.exp(state.log_drive)
+
+    received: ComplexArray
+    received_error: Array
+    by_pressure: ComplexArray
+    by_pressure_error: Array
+
+
+def participations(
+    model: Model, prior: Prior, state: State, covariance: Array, hz: Array
+) -> Participations:
+    """Return the participations of modes at their frequencies (a,).
+
+    `covariance` (q, q) is that of the parameters for a given drive.
+    """
+    now, drive, active = terms(model, state), np.exp(state.log_drive), model.active
+    nearest = np.abs(np.log(model.hz[:, None] / hz)).argmin(axis=0)
+    errors = []
     for a, k in enumerate(nearest.tolist()):
         slopes = _by_parameters(model, prior, state, now, a, k) / drive[k]
         own = covariance[: len(slopes), : len(slopes)]
         errors.append(np.sqrt((slopes.conj() @ own @ slopes).real))
-    return np.array(errors)
+    number, powers = _numbers(prior), model.powers.shape[1]
+    among = number[: len(active), : 2 * powers].reshape(-1, 2, powers)
+    parts, at = covariance[among[..., None], among[..., None, :]], model.powers[nearest]
+    variance = np.sum((parts @ at[:, None, :, None])[..., 0] * at[:, None], axis=(1, 2))
+    return Participations(
+        now.received(state)[nearest, active],
+        np.array(errors),
+        now.participation[nearest, active],
+        np.sqrt(variance),
+    )
 
 
 def _by_parameters(

@@ -371,6 +371,26 @@ def test_modes_are_right_where_they_send_each_other_sound(seed, share):
     assert found.state.loss_parameters[2] == pytest.approx(share, abs=0.15)
 
 
+def test_others_add_to_a_participation_only_where_something_connects_modes():
+    alone = planted(2, noise=0.005, mixing=0.1).fit()
+    assert alone.by_pressure == pytest.approx(alone.participation)
+    assert alone.by_pressure_error == pytest.approx(alone.participation_error)
+    sweep = with_sound(2, 1.0)
+    found = sweep.fit()
+    at = np.abs(np.log(DRIVE_HZ[:, None] / found.hz)).argmin(axis=0)
+    between = sound_between(sweep.basis, sweep.hz, DRIVE_HZ)
+    added = []
+    for m, k in enumerate(at):
+        own = sweep.loss[m] - between[k, m, m]
+        dynamic = np.diag(1 + 1j * own - (DRIVE_HZ[k] / sweep.hz) ** 2) + 1j * between[k]
+        moved = linalg.solve(dynamic, sweep.participation[k])
+        added.append(dynamic[m, m] * moved[m] / sweep.participation[k, m] - 1)
+    assert np.abs(added).max() > 0.02
+    errors = found.by_pressure_error / np.abs(found.by_pressure)
+    off = found.participation / found.by_pressure - 1 - np.array(added)
+    assert np.all(np.abs(off) < 3 * errors)
+
+
 def test_no_mode_is_connected_with_itself():
     """What it loses by itself is part of its loss factor."""
     model, _, state = begun(with_sound(2, 1.0))

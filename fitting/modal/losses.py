@@ -53,6 +53,8 @@ from fitting.modal.model import (
 from holography.arrays import Array, IndexArray
 from physics.effects.frequency_dependent_damping import EFFECT as FREQUENCY_DEPENDENT_DAMPING
 
+# Width at half power of a mode of dry cane, in log frequency.
+_WIDTH = LOSS
 # Expectation and standard deviation of both Δη: dry cane loses 0.03, shear up to twice as much, and
 # the bed of a clamp between nothing and twice as much. Of the sound: a mouthpiece guides the air
 # more than a free plate does and less than a wall (decision 0026). Of cane: 0.02 to 0.05 is
@@ -81,36 +83,56 @@ def forms_of(basis: ShapeBasis, hz: Array, drive_hz: Array) -> Forms:
     return Forms(basis.shares, sound, basis.largest / own)
 
 
-def between_modes(forms: Forms, mixed: Array) -> tuple[Array, Array]:
+def between_modes(forms: Forms, turned: Array) -> tuple[Array, Array]:
     """Return B of losses (2, m, m) and of sound (k, m, m) between modes.
 
     Parameters
     ----------
     forms : Forms
-    mixed : (m, m) float
-        How much each mode has of each shape S. Modes are orthogonal: as perturbations are only
-        nearly so, the nearest orthogonal ones are taken.
+    turned : (m, m) float
+        Orthogonal: modes from shapes, all of unit elastic energy.
     """
     scale = forms.scale
-    turned, _ = linalg.polar(mixed * scale[:, None] / scale)
     losses, sound = (
         (turned @ each @ turned.T) * scale[:, None] / scale for each in (forms.shares, forms.sound)
     )
     return losses, sound
 
 
+def turned_shapes(mixing: Array, scale: Array, hz: Array) -> Array:
+    """Return how modes (m,) that are close are turned from shapes (m, m) of unit energy.
+
+    Two modes that exchange shapes have as much of each other's energy, with opposite signs. Wrong
+    shapes are mixed, too, about as much in either: the angle is that of least squares. For modes
+    that are more than two widths apart wrong shapes are most of it, and losses do little there.
+
+    Parameters
+    ----------
+    mixing : (m, m) float
+        Part of each shape S (last axis) in each mode.
+    scale : (m,) float
+        See `Forms`.
+    hz : (m,) float
+    """
+    ratio = scale / scale[:, None]
+    tangent = (ratio * mixing - mixing.T / ratio) / (ratio**2 + ratio**-2.0)
+    apart = np.abs(np.subtract.outer(np.log(hz), np.log(hz))) / (2 * _WIDTH)
+    return np.asarray(linalg.expm(np.arctan(tangent) / (1 + apart**2)))
+
+
 def connected(model: Model, state: State) -> Model:
     """Connect modes as those of a state are."""
-    count, mixed = len(model.active), np.eye(len(model.reference))
-    mixed[model.active] += state.x[count:, :count].T
-    return connected_by(model, mixed)
+    count, mixing = len(model.active), np.zeros((len(model.reference),) * 2)
+    mixing[model.active] = state.x[count:, :count].T
+    hz, _ = own_resonances(model, state)
+    return connected_by(model, turned_shapes(mixing, model.forms.scale, hz))
 
 
-def connected_by(model: Model, mixed: Array) -> Model:
-    """Connect modes that have a part (m, m) of each shape S."""
-    losses, sound = between_modes(model.forms, mixed)
+def connected_by(model: Model, turned: Array) -> Model:
+    """Connect modes that are turned from shapes (m, m)."""
+    losses, sound = between_modes(model.forms, turned)
     # What a mode loses by itself is part of its loss factor.
-    others, modes = 1 - np.eye(len(mixed)), np.arange(len(mixed))
+    others, modes = 1 - np.eye(len(turned)), np.arange(len(turned))
     at = _nearest(model, model.reference_hz)
     own = np.concatenate([losses[:, modes, modes], sound[None, at, modes, modes]])
     return replace(model, losses=losses * others, sound=sound * others, own_losses=own)

@@ -50,7 +50,7 @@ from fitting.modal.model import (
     State,
     own_resonances,
 )
-from holography.arrays import Array, IndexArray
+from holography.arrays import Array
 from physics.effects.frequency_dependent_damping import EFFECT as FREQUENCY_DEPENDENT_DAMPING
 
 # Width at half power of a mode of dry cane, in log frequency.
@@ -133,7 +133,7 @@ def connected_by(model: Model, turned: Array) -> Model:
     losses, sound = between_modes(model.forms, turned)
     # What a mode loses by itself is part of its loss factor.
     others, modes = 1 - np.eye(len(turned)), np.arange(len(turned))
-    at = _nearest(model, model.reference_hz)
+    at = model.nearest(model.reference_hz)
     own = np.concatenate([losses[:, modes, modes], sound[None, at, modes, modes]])
     return replace(model, losses=losses * others, sound=sound * others, own_losses=own)
 
@@ -160,7 +160,7 @@ def resonances(model: Model, state: State) -> Resonances:
     Losses that connect two modes repel their loss factors, and attract their frequencies.
     """
     hz, loss = own_resonances(model, state)
-    at, connecting = _nearest(model, hz), state.loss_parameters[:CONNECTING]
+    at, connecting = model.nearest(hz), state.loss_parameters[:CONNECTING]
     sound = model.sound[at, np.arange(len(hz))]
     between = 1j * hz[:, None] ** 2 * np.concatenate([model.losses, sound[None]])
     matrix = np.tensordot(connecting, between, axes=1) + np.diag(hz**2 * (1 + 1j * loss))
@@ -181,12 +181,6 @@ def resonances(model: Model, state: State) -> Resonances:
     by_loss = relative.imag / values.imag[:, None] - 2 * by_hz
     logs = np.concatenate([0.5 * np.log(values.real), np.log(values.imag / values.real)])
     return Resonances(logs, np.concatenate([by_hz, by_loss]))
-
-
-def _nearest(model: Model, hz: Array) -> IndexArray:
-    """Return the holograms (m,) whose drive is nearest to some frequencies (m,)."""
-    found: IndexArray = np.abs(np.log(model.hz[:, None] / hz)).argmin(axis=0)
-    return found
 
 
 def shared_drift(displacements: Displacements) -> FieldDrift:

@@ -129,6 +129,11 @@ class Model:
         """Length of a row of parameters."""
         return int(max(2 * self.powers.shape[1] + 2, len(self.active) + 2 * TAIL_TERMS))
 
+    def nearest(self, hz: Array) -> NDArray[np.intp]:
+        """Return the holograms (n,) whose drive is nearest to some frequencies (n,)."""
+        found: NDArray[np.intp] = np.abs(np.log(self.hz[:, None] / hz)).argmin(axis=0)
+        return found
+
     @property
     def passive(self) -> NDArray[np.intp]:
         """Modes beyond the sweep."""
@@ -318,6 +323,13 @@ class Prior:
     def free(self) -> NDArray[np.bool_]:
         """Mask (v, p) of the parameters that are not fixed."""
         return np.isfinite(self.precision)
+
+    @property
+    def positions(self) -> NDArray[np.intp]:
+        """Positions (v, p) of the parameters among the free ones; -1 where one is fixed."""
+        number = np.full(self.free.shape, -1)
+        number[self.free] = np.arange(np.count_nonzero(self.free))
+        return number
 
     @property
     def log_volume(self) -> float:

@@ -172,8 +172,7 @@ def equations(model: Model, data: Data, prior: Prior, at: "Evaluation") -> Equat
 
     Along a valley, terms of the products cancel to a part in 10⁷: each derivative must be exact.
     """
-    number = np.full(prior.free.shape, -1)
-    number[prior.free] = np.arange(np.count_nonzero(prior.free))
+    number = prior.positions
     columns, groups = _columns(model, data, at), _groups(model, number)
     mixing = _Mixing.of(model, number, at.terms.modal[:, model.active])
     own = np.concatenate([each.positions.ravel() for each in groups])

@@ -17,7 +17,7 @@ from fitting.modal.model import (
     terms,
 )
 from fitting.modal.normal_equations import Equations
-from holography.arrays import Array, ComplexArray, IndexArray
+from holography.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def resonant_displacements(
     to the covariance.
     """
     count, size = len(model.active), now.shapes.shape[1]
-    powers, number = model.powers.shape[1], _numbers(prior)
+    powers, number = model.powers.shape[1], prior.positions
     amplitude, covariance = np.zeros((count, size)), np.zeros((count, size, size))
     log_hz, moved = np.log(model.hz), now.alone * now.modal
     for a, m in enumerate(model.active):
@@ -184,13 +184,13 @@ def participations(
     `covariance` (q, q) is that of the parameters for a given drive.
     """
     now, drive, active = terms(model, state), np.exp(state.log_drive), model.active
-    nearest = np.abs(np.log(model.hz[:, None] / hz)).argmin(axis=0)
+    nearest = model.nearest(hz)
     errors = []
     for a, k in enumerate(nearest.tolist()):
         slopes = _by_parameters(model, prior, state, now, a, k) / drive[k]
         own = covariance[: len(slopes), : len(slopes)]
         errors.append(np.sqrt((slopes.conj() @ own @ slopes).real))
-    number, powers = _numbers(prior), model.powers.shape[1]
+    number, powers = prior.positions, model.powers.shape[1]
     among = number[: len(active), : 2 * powers].reshape(-1, 2, powers)
     parts, at = covariance[among[..., None], among[..., None, :]], model.powers[nearest]
     variance = np.sum((parts @ at[:, None, :, None])[..., 0] * at[:, None], axis=(1, 2))
@@ -221,10 +221,3 @@ def _by_parameters(
     for slot, force in enumerate(forces_by_logs(model, now), start=2 * powers):
         slopes[a, slot] -= force[k, a]
     return np.concatenate([slopes[prior.free], forces_by_losses(model, now)[:, k] @ by_forces])
-
-
-def _numbers(prior: Prior) -> IndexArray:
-    """Return the positions (v, p) of the free parameters among all; -1 where one is fixed."""
-    number = np.full(prior.free.shape, -1)
-    number[prior.free] = np.arange(np.count_nonzero(prior.free))
-    return number

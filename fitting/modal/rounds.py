@@ -344,10 +344,8 @@ class Optimum:
 
 def among_parameters(model: Model, prior: Prior) -> IndexArray:
     """Return where that is among all parameters by which resonances have `Optimum.slopes`."""
-    powers, number = model.powers.shape[1], np.full(prior.free.shape, -1)
-    first = np.count_nonzero(prior.free)
-    number[prior.free] = np.arange(first)
-    own = number[: len(model.active), 2 * powers : 2 * powers + 2].T.ravel()
+    powers, first = model.powers.shape[1], np.count_nonzero(prior.free)
+    own = prior.positions[: len(model.active), 2 * powers : 2 * powers + 2].T.ravel()
     return np.concatenate([own, first + np.arange(CONNECTING)])
 
 

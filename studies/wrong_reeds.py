@@ -1,8 +1,10 @@
 """Runs of reeds that are not those that plan and fit know, with the truth of each.
 
 Every reed has a vamp of its own, not its own mirror image, and cane of its own; it is driven by a
-pressure that is not the model's, under light that changes from hologram to hologram. `wrong_bench`
-says how all this is drawn. Its eigenfrequencies are computed from its own finite elements.
+pressure that is not the model's, under light that changes from hologram to hologram, on a bench
+with ordinary disorder. `wrong_bench` says how all this is drawn. The truth is that of the reduced
+reed that the bench plays: its vamp and its nine constants are other than those of the fit, its code
+is not. `studies.second_laboratory` shares no code with the fit.
 
     python -m studies.wrong_reeds FOLDER [--count N] [--first K] [--series A B] [--jobs N]
 """
@@ -34,6 +36,7 @@ from drivers.simulated.settings import (
 )
 from fitting.cane.over_density import QUOTED_HZ
 from holography.arrays import Array
+from physics.parameters.disorder import BY_NAME, ordinary_amounts
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import (
     Components,
@@ -69,6 +72,10 @@ DEGREES = (4, 4)
 HEARD_HZ = (1900.0, 16_800.0)
 # No constant is farther off than this many standard deviations.
 MOST_DEVIATIONS = 2.0
+# Disorder that the bench's own light has otherwise: see `wrong_bench`.
+_OF_LIGHT = ("gain_scatter", "path_step")
+# Disorder of cane that no factor on its constants is.
+_OF_CANE = "shear_loss"
 
 
 def wrong_bench(
@@ -94,6 +101,8 @@ def wrong_bench(
 
     All nine elastic constants and the density are multiplied by 1 + `constants`·N(0, 1), drawn
     again beyond 2 standard deviations. Pressure and light are as `drivers.simulated.settings` says.
+    Shear loses more than bending, and clocks, camera, sound and light have disorder, each within
+    its ordinary range (`physics.parameters.disorder`).
 
     Parameters
     ----------
@@ -116,8 +125,19 @@ def wrong_bench(
         "cane_factors": factors,
         "pressure": {"distortion": pressure, "seed": int(rng.integers(2**31))},
         "light": {"gain_scatter": gain, "phase_scatter": phase},
+        "disorder": _disorder(reed, seed),
     }
     return BenchFile.from_file().replace({"twin": settings})
+
+
+def _disorder(reed: str, seed: int) -> dict[str, Any]:
+    """Return the section of a bench file with all disorder that the reed does not have already."""
+    amounts: dict[str, Any] = {"seed": seed}
+    for name, amount in ordinary_amounts(seed, reed).items():
+        kind = BY_NAME[name]
+        if name == _OF_CANE or not (kind.of_reed or name in _OF_LIGHT):
+            amounts[name] = f"{amount:.6g} {kind.ordinary.unit}" if kind.ordinary.unit else amount
+    return amounts
 
 
 def _thickness_map_um(rng: np.random.Generator, thickness_um: float, asymmetry: float) -> Array:
@@ -179,7 +199,8 @@ def truth_of(bench: BenchFile, reed: str, series: Series) -> dict[str, Any]:
     played = reduced_reed(geometry, level, settings)
     found = vibrations(played, State(CaneLaw(constants, cane), air=played.air), HIGHEST_HZ)
     loss = parameters.reed.loss_factor
-    losses = loss_factors(found, LossFactors(loss, loss))
+    shear_loss = loss * float(np.exp(parameters.reed.shear_loss_log))
+    losses = loss_factors(found, LossFactors(loss, shear_loss))
     modes = {
         mode.name: {
             "hz": mode.frequency_hz,

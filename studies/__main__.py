@@ -11,7 +11,7 @@ COMMANDS = (
     "studies.independence",
     "studies.recovery",
     "studies.identification",
-    "studies.second_laboratory --reeds 24 --sensor quarter --seed 204 --series A B",
+    "studies.second_laboratory --reeds 24 --seed 501 --series A B",
     "studies.amplitudes",
     "studies.amplitudes.large",
     "studies.reach",

@@ -3,7 +3,8 @@
 It answers how true the stated errors of a fit, and the verdicts of a diagnosis, are on data from a
 generator that shares no code with them. It was written from the paper, from physics and from the
 literature, without reading the project's models, fits or diagnosis; import-linter keeps it apart.
-**Nothing in the project may be tuned to it**, or it is a second laboratory no more.
+No number of the project comes from it, but errors of the fit, and their causes, were looked for
+with its reeds 1 to 500. Those from 501 on are for scores: nothing was changed for what they show.
 
 ::
 

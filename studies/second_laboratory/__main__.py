@@ -2,7 +2,8 @@
 
 ``python -m studies.second_laboratory --reeds 6 --series A --folder reeds`` keeps a run file, a
 truth and a fit for each sweep in the folder. What is there already is not made again;
-``--fit-only`` fits again what was measured, with the fit of this checkout.
+``--fit-only`` fits again what was measured, with the fit of this checkout. The exit status is 1 if
+what is stated misses a goal of the project.
 """
 
 import argparse
@@ -16,7 +17,14 @@ from typing import Any
 import acquire
 from studies.second_laboratory.bench import SENSORS, bench_file, protocol, reed_truth
 from studies.second_laboratory.parameters import Disorder, draw_bench, draw_reed
-from studies.second_laboratory.scoring import HIGHEST_HZ, comparisons, scores, table_lines
+from studies.second_laboratory.scoring import (
+    HIGHEST_HZ,
+    comparisons,
+    goal_lines,
+    goals,
+    scores,
+    table_lines,
+)
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -42,12 +50,15 @@ def main(words: Sequence[str] | None = None) -> int:
                 found += comparisons(path.stem, series, fit, truth)
             print(f"{path.stem}: {_summary(fit)}", file=sys.stderr, flush=True)
     table = scores(found, possible, sweeps)
+    reached = goals(found, table)
     if asked.json:
         rows = [score.to_json() for score in table]
-        print(json.dumps({"scores": rows, "refused": refused}, indent=1))
+        wanted = [goal.to_json() for goal in reached]
+        print(json.dumps({"scores": rows, "goals": wanted, "refused": refused}, indent=1))
     else:
         print(*table_lines(table), *(f"refused: {k}: {v}" for k, v in refused.items()), sep="\n")
-    return 0
+        print(*goal_lines(reached), sep="\n")
+    return int(any(goal.missed for goal in reached))
 
 
 def _parser() -> argparse.ArgumentParser:

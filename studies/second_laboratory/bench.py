@@ -14,7 +14,7 @@ from studies.second_laboratory.parameters import (
     CameraParameters,
     ReedParameters,
 )
-from studies.second_laboratory.reed import Reed
+from studies.second_laboratory.reed import Pole, Reed
 
 # Rows and columns: a quarter of the paper's sensor in each direction, half, all of it.
 SENSORS: dict[str, tuple[int, int]] = {
@@ -22,6 +22,8 @@ SENSORS: dict[str, tuple[int, int]] = {
     "quarter": (512, 640),
     "full": (1024, 1280),
 }
+# Length of the vamp, and its half width, where points beside the reed count as its edge.
+_VAMP_MM = 38.0, 6.5
 _MODULE = "studies.second_laboratory.instruments"
 
 
@@ -67,8 +69,8 @@ def reed_truth(reed: ReedParameters, bench: BenchParameters | None = None) -> di
     ----------
     reed : ReedParameters
     bench : BenchParameters, optional
-        With it, each mode also has ``peak_nm_per_volt``: the largest displacement of the bark side
-        at its frequency.
+        With it, each mode also has ``nm_per_volt``: its largest displacement on the bark side of
+        the vamp, for a peak volt at its frequency, without the other modes.
 
     Returns
     -------
@@ -94,7 +96,7 @@ def reed_truth(reed: ReedParameters, bench: BenchParameters | None = None) -> di
         }
         if bench is not None:
             drive = Drive(bench.drive, clay=cane.dryness == 0.0)
-            modes[pole.name]["peak_nm_per_volt"] = 1e6 * _peak_mm(model, drive, pole.frequency_hz)
+            modes[pole.name]["nm_per_volt"] = 1e6 * _largest_mm(model, drive, pole)
     at_4khz = 2 * np.pi * 4000.0
     return {
         "modes": modes,
@@ -116,9 +118,11 @@ def reed_truth(reed: ReedParameters, bench: BenchParameters | None = None) -> di
     }
 
 
-def _peak_mm(model: Reed, drive: Drive, hz: float) -> float:
-    x, y = (
-        each.ravel() for each in np.meshgrid(np.linspace(0.2, 38, 40), np.linspace(-6.4, 6.4, 15))
-    )
-    coordinates = model.response(hz, drive.pressure_mpa(hz, model.load_x, model.load_y))
-    return float(np.abs(model.deflection(x, y) @ coordinates).max())
+def _largest_mm(model: Reed, drive: Drive, pole: Pole) -> float:
+    """Return the largest displacement of a mode at its frequency, per volt."""
+    x, y = np.meshgrid(np.linspace(0, _VAMP_MM[0], 153), np.linspace(-1, 1, 53) * _VAMP_MM[1])
+    hz, vector = pole.frequency_hz, pole.vector
+    force = vector @ model.load(drive.pressure_mpa(hz, model.load_x, model.load_y))
+    lost = pole.loss_factor * (2 * np.pi * hz) ** 2
+    moved = model.deflection(x.ravel(), y.ravel()) @ vector
+    return float(np.abs(moved).max() * abs(force) / lost)

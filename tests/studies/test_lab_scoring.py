@@ -4,11 +4,18 @@ import math
 
 import pytest
 
-from studies.second_laboratory.scoring import HIGHEST_HZ, comparisons, scores
+from studies.second_laboratory.scoring import (
+    HIGHEST_HZ,
+    Comparison,
+    comparisons,
+    goal_lines,
+    goals,
+    scores,
+)
 
 TRUTH = {
     "modes": {
-        "F1": {"hz": 2000.0, "loss_factor": 0.02},
+        "F1": {"hz": 2000.0, "loss_factor": 0.02, "nm_per_volt": 200.0},
         "X6": {"hz": 15_000.0, "loss_factor": 0.02},
         "T4": {"hz": HIGHEST_HZ + 1, "loss_factor": 0.02},
     },
@@ -25,7 +32,8 @@ def value(value, error):
 
 
 def mode(hz):
-    return {"hz": hz, "error_cents": 1.0, "loss_factor": 0.022, "loss_error": 0.05}
+    found = {"hz": hz, "error_cents": 1.0, "loss_factor": 0.022, "loss_error": 0.05}
+    return found | {"nm_per_v": 210.0, "amplitude_nm": 420.0, "amplitude_error_nm": 8.4}
 
 
 FIT = {
@@ -45,6 +53,8 @@ def test_differences_and_errors_have_one_unit(by_quantity):
     assert by_quantity["F1"].difference == pytest.approx(3.0)
     assert by_quantity["loss F1"].difference == pytest.approx(100 * math.log(1.1))
     assert by_quantity["loss F1"].error == pytest.approx(5.0)
+    assert by_quantity["nm F1"].difference == pytest.approx(100 * math.log(1.05))
+    assert by_quantity["nm F1"].error == pytest.approx(2.0)
     assert by_quantity["e1"].difference == pytest.approx(0.2)
     assert by_quantity["E1/rho"].difference == pytest.approx(1.0)
     assert by_quantity["loss normal"].difference == pytest.approx(100 * math.log(1.05))
@@ -57,8 +67,56 @@ def test_modes_above_the_range_are_not_compared_and_a_wrong_name_is_an_error(by_
     assert by_quantity["X6"].difference == pytest.approx(1200 * math.log2(14 / 15))
 
 
+def test_displacements_are_compared_where_the_truth_has_them(by_quantity):
+    assert "nm X6" not in by_quantity
+
+
 def test_coverage_counts_sweeps_and_refusals():
     found = comparisons("one", "A", FIT, TRUTH) + comparisons("two", "A", FIT, TRUTH)
     (f1,) = [row for row in scores(found, {"F1": 3}, 3) if row.quantity == "F1"]
     assert (f1.stated, f1.of, f1.coverage) == (2, 3, 0.0)
     assert f1.rms_pull == pytest.approx(3.0)
+
+
+def stated(quantity, pulls, error=1.0):
+    """As many sweeps as there are pulls."""
+    return [Comparison(quantity, f"s{k}", pull * error, error) for k, pull in enumerate(pulls)]
+
+
+def missed(found):
+    return [bool(goal.missed) for goal in goals(found, scores(found, {}, len(found)))]
+
+
+# Seven of ten within one standard error, and a mean square of 1.
+RIGHT = [0.0, 0.5, -0.5, 0.6, -0.6, 0.7, -0.7, 1.5, -1.5, 1.7]
+
+
+def test_goals_are_reached_by_errors_that_are_right():
+    found = stated("F1", RIGHT) + stated("loss F1", RIGHT) + stated("E_4kHz/rho", RIGHT, 0.5)
+    assert missed(found) == [False] * 5
+
+
+@pytest.mark.parametrize(
+    ("found", "which"),
+    [
+        (stated("F1", [0.2] * 10), 0),
+        (stated("F1", [1.2, -1.2] * 5), 0),
+        (stated("nm F1", [0.5, -0.5] * 5), 1),
+        (stated("e2", [1.4, -1.4] * 5), 1),
+        (stated("F1", RIGHT, 4.0), 2),
+        (stated("F1", [*RIGHT, 8.1]), 3),
+        (stated("E_4kHz/rho", [x + 1.01 for x in RIGHT]), 4),
+    ],
+)
+def test_each_goal_can_be_missed(found, which):
+    assert missed(found)[which]
+
+
+def test_a_large_error_or_a_few_cents_are_not_far_off():
+    assert not missed(stated("F4", [*RIGHT, 4.9], 5.0) + stated("T1", [*RIGHT, 7.9]))[3]
+
+
+def test_what_misses_a_goal_is_named():
+    found = stated("T1", [*RIGHT, 8.1])
+    (line,) = [x for x in goal_lines(goals(found, scores(found, {}, 11))) if "T1 of s10" in x]
+    assert "+8.1 ± 1.0" in line

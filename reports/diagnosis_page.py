@@ -317,7 +317,7 @@ def _triggers(verdict: Diagnosis) -> Table:
         Column("sign", "sign of a cause that is not in the catalogue"),
         Column("value", "value", "", ".3g"),
         Column("chance", "by chance", "", ".1%", "probability of so large a value by chance"),
-        Column("counts", "counts", meaning="whether it makes an unknown cause more probable"),
+        Column("significant", "significant", meaning="chance makes as much in less than 1 of 100"),
     )
     rows = tuple(
         (t.description, t.value, t.chance, "yes" if t.significant else "no") for t in verdict.checks
@@ -367,16 +367,24 @@ def _actions(verdict: Diagnosis) -> Table:
 
 def _floor_words(verdict: Diagnosis) -> str:
     doubtful = [floor for floor in verdict.floor if not floor.trusted]
-    # The sign that is worse: repeated numbers, or what the whole group has left.
+    repeated = sum(floor.replicates > 0 for floor in verdict.floor)
+    others = len(verdict.floor) - repeated
+    unchecked = (
+        f" Nothing was repeated in {others} others, which this cannot check." if others else ""
+    )
     if not doubtful:
-        return "All groups of observables scatter as their errors say."
+        return f"{repeated} groups of observables scatter as their errors say.{unchecked}"
+    # The sign that is worse: repeated numbers, or what the whole group has left.
     said = "; ".join(
         f"{floor.group} (repeated numbers scatter {floor.scatter:.1f} times as much)"
         if floor.scatter > floor.factor
         else f"{floor.group} (noise {floor.factor:.1f} times as large)"
         for floor in doubtful
     )
-    return f"Groups that scatter more than their errors say, and count less for that: {said}."
+    return (
+        f"Groups that scatter more than their errors say, and count less for that: {said}."
+        + unchecked
+    )
 
 
 def _floor(verdict: Diagnosis) -> Table:

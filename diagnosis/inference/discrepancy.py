@@ -1,11 +1,12 @@
 """Discrepancies: something unknown that shifts numbers of any group of observables.
 
 For each group, the evidence is computed that something unknown shifts its numbers: equally within
-a mode, a band or a time, in all of these or in one alone; each number by itself; or as a drift.
-Several sizes are tried. Something unknown shifts one group or a few.
+a mode, a band of frequencies, a region, a level or a time, in all of these or in one alone; each
+number by itself; or smoothly with time or frequency. Several sizes are tried. Something unknown
+shifts one group or a few.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import comb
 
@@ -15,17 +16,19 @@ from scipy.special import logsumexp
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.linear_model import LinearModel, weighed_at
 from diagnosis.inference.problem import InferenceProblem
-from diagnosis.observable_groups import ObservableGroup
+from diagnosis.observable_groups import BANDS, Coordinates, ObservableGroup
 from holography.arrays import Array
 
 # Sizes of a discrepancy that are tried, in standard deviations of the numbers.
 _SIZES = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0)
-_KINDS = ("each", "quantity", "mode", "band", "time", "drift")
-_ONE_ALONE = "mode", "band", "time"
-# A single mode, band or time is tried alone if a group has at least this many.
+_PLACES = "mode", "band", "region", "level", "time"
+# ... and smooth ones: along time, and along frequency by bands.
+_SMOOTH = "drift", "slope"
+_KINDS = ("each", "quantity", *_PLACES, *_SMOOTH)
+# A single one of these is tried alone if a group has at least this many.
 _FEWEST_OTHERS = 3
-# Fewer times do not determine a drift.
-_LEAST_TIMES = 4
+# Fewer times do not determine a drift, nor fewer bands a slope.
+_LEAST_PLACES = 4
 # Probability that something unknown shifts one group, two, three.
 _BLOCKS = (0.6, 0.25, 0.15)
 
@@ -153,7 +156,7 @@ def _gains(problem: InferenceProblem, state: _Left, number: int) -> Iterator[tup
         for size in _SIZES:
             together = _gained((vectors.T @ pull) ** 2, values, size)
             yield np.sum(together, axis=0), size * table
-        if kind in _ONE_ALONE and len(pull) >= _FEWEST_OTHERS:
+        if kind in _PLACES and len(pull) >= _FEWEST_OTHERS:
             for size in _SIZES:
                 alone = _gained(pull**2, np.diag(known), size)
                 gain: Array = logsumexp(alone, axis=0) - np.log(len(alone))
@@ -171,11 +174,11 @@ def _pattern(block: ObservableGroup, kind: str) -> Array | None:
     """Return columns (k, c) along which something unknown may shift the numbers of a group."""
     if kind == "each":
         return np.eye(len(block.values))
-    return _drifting(block) if kind == "drift" else _alike(block, kind)
+    return _smooth(block, kind) if kind in _SMOOTH else _alike(block, kind)
 
 
 def _alike(block: ObservableGroup, kind: str) -> Array | None:
-    """Return columns (n, c) of ones where a quantity has one mode, band or time."""
+    """Return columns (n, c) of ones where a quantity has one mode, band, region, level or time."""
     labels = [f"{place.quantity} {getattr(place, kind)}" for place in block.coordinates]
     names = sorted(set(labels))
     if len(names) in (1, len(labels)) and kind != "quantity":
@@ -183,16 +186,28 @@ def _alike(block: ObservableGroup, kind: str) -> Array | None:
     return np.array([[label == name for name in names] for label in labels], dtype=float)
 
 
-def _drifting(block: ObservableGroup) -> Array | None:
-    """Return columns (n, c) along which a quantity drifts with time."""
+def _smooth(block: ObservableGroup, kind: str) -> Array | None:
+    """Return columns (n, c) along which a quantity drifts with time, or grows with frequency."""
     columns = []
     for quantity in dict.fromkeys(place.quantity for place in block.coordinates):
         own = np.array([place.quantity == quantity for place in block.coordinates])
-        times = [place.time for place in block.coordinates if place.quantity == quantity]
-        order = list(dict.fromkeys(times))
-        if len(order) < _LEAST_TIMES:
+        here = [place for place in block.coordinates if place.quantity == quantity]
+        order = _ranks([place.time for place in here]) if kind == "drift" else _bands(here)
+        if len(set(order)) < _LEAST_PLACES:
             continue
-        steps = np.array([order.index(time) for time in times], dtype=float)
+        steps = np.array(order, dtype=float)
         columns.append(np.zeros(len(own)))
         columns[-1][own] = (steps - steps.mean()) / steps.std()
     return np.stack(columns, axis=1) if columns else None
+
+
+def _ranks(times: Sequence[str]) -> list[int]:
+    """Return the rank of each time, in the order in which they come."""
+    order = list(dict.fromkeys(times))
+    return [order.index(time) for time in times]
+
+
+def _bands(places: Sequence[Coordinates]) -> list[int]:
+    """Return the number of each place's band; all the same where one has none."""
+    known = all(place.band in BANDS for place in places)
+    return [BANDS.index(place.band) if known else 0 for place in places]

@@ -12,7 +12,7 @@ from diagnosis.inference.discrepancy import (
 )
 from diagnosis.inference.predictive_checks import predictive_checks
 from diagnosis.inference.problem import InferenceProblem
-from diagnosis.observable_groups import Coordinates
+from diagnosis.observable_groups import BANDS, Coordinates
 from physics.parameters.tree import BenchParameters
 from tests.diagnosis.toy import EFFECTS, LEVEL, bench, fitted, measured
 
@@ -47,7 +47,7 @@ def test_one_time_may_be_moved_alone(monkeypatch) -> None:
     problem = InferenceProblem((moved, clocks), BenchParameters(), (LEVEL,))
     candidate = fitted(problem)
     alone = group_discrepancies(problem, candidate)["lines"]
-    monkeypatch.setattr("diagnosis.inference.discrepancy._ONE_ALONE", ())
+    monkeypatch.setattr("diagnosis.inference.discrepancy._FEWEST_OTHERS", np.inf)
     assert alone > group_discrepancies(problem, candidate)["lines"] + 1
     assert alone > 1
 
@@ -108,3 +108,40 @@ def test_a_drift_that_no_effect_makes_is_looked_for_along_time() -> None:
     assert found(still.values) < 0
     assert found(still.values + slow) > 3
     assert found(still.values + slow[order]) < 1
+
+
+def test_what_grows_with_frequency_is_looked_for_along_bands() -> None:
+    """Several numbers of each band, which a slope moves too little to be seen in one of them."""
+    problem = measured(8, bench())
+    lines, clocks = problem.groups
+    number = np.arange(60) % len(BANDS)
+    places = tuple(Coordinates("line", mode=f"m{k}", band=BANDS[n]) for k, n in enumerate(number))
+    rising = 0.05 * (number / (len(BANDS) - 1) - 0.5)
+
+    def found(values: np.ndarray, places: tuple[Coordinates, ...] = places) -> float:
+        block = replace(lines, values=values, coordinates=places)
+        moved = InferenceProblem([block, clocks], BenchParameters(), (LEVEL,))
+        return group_discrepancies(moved, fitted(moved))["lines"]
+
+    nowhere = tuple(replace(place, band="") for place in places)
+    assert found(lines.values) < 0
+    assert found(lines.values + rising) > found(lines.values + rising, nowhere) + 1
+
+
+@pytest.mark.parametrize("where", ["region", "level"])
+def test_one_place_or_level_may_be_moved(where: str) -> None:
+    problem = measured(8, bench())
+    lines, clocks = problem.groups
+    third = np.arange(60) % 3
+    moved = replace(
+        lines,
+        values=lines.values + 0.1 * (third == 1),
+        coordinates=tuple(Coordinates("line", **{where: str(k)}) for k in third),
+    )
+
+    def found(block) -> float:
+        off = InferenceProblem([block, clocks], BenchParameters(), (LEVEL,))
+        return group_discrepancies(off, fitted(off))["lines"]
+
+    nowhere = replace(moved, coordinates=(Coordinates("line"),) * 60)
+    assert found(moved) > found(nowhere) + 1

@@ -55,6 +55,10 @@ _MOST_LOUDER = 1 - np.exp(-1)
 # ... and limits of the factor by which a step multiplies a participation, for its mixing. Chosen:
 # where a participation changes sign, a product says nothing.
 _GROWTH = 0.5, 2.0
+_INSEPARABLE = (
+    "the holograms cannot separate the modes of this reed; look at the contact sheet that acquire "
+    "report writes, or count fringes: --method picture"
+)
 
 
 @dataclass(frozen=True)
@@ -271,13 +275,13 @@ def log_determinant(matrix: Array) -> float:
 
 def _scaled_root(matrix: Array) -> tuple[Array, Array]:
     """Return the scale (q,) of each parameter, and the lower factor of the scaled matrix."""
-    unit = 1 / np.sqrt(np.diag(matrix))
+    diagonal = np.diag(matrix)
+    if not np.all(diagonal > 0):
+        raise FitError(_INSEPARABLE)
+    unit = 1 / np.sqrt(diagonal)
     scaled = unit[:, None] * matrix * unit
     scaled[np.diag_indices_from(scaled)] += _ROUNDING
     try:
         return unit, linalg.cholesky(scaled, lower=True, overwrite_a=True)
-    except (np.linalg.LinAlgError, ValueError):
-        raise FitError(
-            "the holograms cannot separate the modes of this reed; look at the contact sheet "
-            "that acquire report writes, or count fringes: --method picture"
-        ) from None
+    except np.linalg.LinAlgError:
+        raise FitError(_INSEPARABLE) from None

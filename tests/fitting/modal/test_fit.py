@@ -1027,3 +1027,13 @@ def test_what_has_no_inverse_is_said_with_the_remedy():
     matrix[0, 1] = matrix[1, 0] = 2.0
     with pytest.raises(FitError, match="--method picture"):
         inverse(matrix)
+    with pytest.raises(FitError, match="--method picture"):
+        inverse(np.diag([1.0, -1e-9]))
+
+
+def test_a_matrix_that_is_wrong_is_no_fit_that_failed():
+    """Its shape and its numbers are mistakes of the program, and not of the holograms."""
+    with pytest.raises(ValueError, match="broadcast"):
+        inverse(np.ones((2, 3)))
+    with pytest.raises(ValueError, match="NaN"):
+        inverse(np.array([[1.0, np.nan], [np.nan, 1.0]]))

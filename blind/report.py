@@ -23,6 +23,8 @@ from blind.scoring import (
     sets,
     shuffled,
     size_errors,
+    sure_of_wrong,
+    surest_right,
 )
 
 # Edges of signal to noise, in deviations.
@@ -66,6 +68,8 @@ def report(cases: Sequence[Case], classes: Classes) -> dict[str, Any]:
         },
         "unknown_found": {**_share(found), "threshold": _number(threshold), "area": _number(area)},
         "confident_wrong": _share(confident_wrong(cases, classes)),
+        "sure_of_wrong": _share(sure_of_wrong(cases, classes)),
+        "surest_right": _share(surest_right(cases, classes)),
         "calibration_error": _number(calibration_error(cases, classes)),
         "brier": _number(brier(cases, classes)),
         "log_score": _number(log_score(cases, classes)),
@@ -152,7 +156,9 @@ def sentences(scores: Mapping[str, Any]) -> list[str]:
         f"Two effects, both right: {shown(scores['two_effects_exact']['all'])}; where both stand "
         f"out {shown(scores['two_effects_exact']['resolved'])}.",
         f"Unknown kinds found at 5 % false-open: {shown(unknown)}; area {number(unknown['area'])}.",
-        f"Confidently wrong on unknown kinds: {shown(scores['confident_wrong'])}.",
+        f"Confidently wrong on unknown kinds: {shown(scores['confident_wrong'])}; sure of a wrong "
+        f"class: {shown(scores['sure_of_wrong'])}; right where 99 % sure: "
+        f"{shown(scores['surest_right'])}.",
         f"Calibration error {number(scores['calibration_error'], '.3f')}, Brier score "
         f"{number(scores['brier'])}, log score {number(scores['log_score'])}.",
         f"Truth in the set of 90 %: {shown(scores['sets'])}; a set has "

@@ -18,7 +18,9 @@ Array = NDArray[np.floating[Any]]
 NONE, UNKNOWN = "none", "unknown"
 # Effects from this signal to noise on are to be named.
 RESOLVED: Final = 5.0
+# An answer is sure of a class from these probabilities on.
 _SURE: Final = 0.9
+_SUREST: Final = 0.99
 _FALSE_OPEN: Final = 0.05
 _BINS = 10
 _DRAWS = 2000
@@ -255,6 +257,18 @@ def sure_and_right(cases: Sequence[Case], classes: Classes) -> tuple[Array, NDAr
     truths = [classes.of(case.truth) for case in cases]
     right = [best(mass) == truth for mass, truth in zip(masses, truths, strict=True)]
     return sure, np.array(right, dtype=bool)
+
+
+def sure_of_wrong(cases: Sequence[Case], classes: Classes) -> Share:
+    """Cases in which a class has 90 % or more and is not the truth, nothing answered included."""
+    sure, right = sure_and_right(cases, classes)
+    return share(((sure >= _SURE) & ~right).tolist())
+
+
+def surest_right(cases: Sequence[Case], classes: Classes) -> Share:
+    """Cases that are right, of those in which a class has 99 % or more."""
+    sure, right = sure_and_right(cases, classes)
+    return share(right[sure >= _SUREST].tolist())
 
 
 def calibration_error(cases: Sequence[Case], classes: Classes) -> float:

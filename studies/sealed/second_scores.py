@@ -27,8 +27,8 @@ from blind.scoring import (
     mean_probability,
     named,
     open_set,
-    share,
-    sure_and_right,
+    sure_of_wrong,
+    surest_right,
 )
 from studies.sealed.commitments import committed, committed_answers
 from studies.sealed.second_laboratory import SEALED, SealedCase, opened, read_cases
@@ -37,8 +37,6 @@ FOLDER = Path(__file__).parent / "second_laboratory"
 LEVELS: Final = ("quiet", "ordinary", "rough")
 # As tiers of `blind.cases`.
 _TIERS: Final = {"clean": 0, "single": 1, "pair": 3, "unknown": 4}
-# An answer is sure of a class from these probabilities on.
-_SURE, _SUREST = 0.9, 0.99
 # Score, its target at every level, and whether more is better.
 TARGETS: Final = (
     ("false alarms", 0.05, False),
@@ -56,18 +54,6 @@ def label_of(sealed: SealedCase) -> Label:
     case = sealed.case
     effects = tuple((each.id, 1.0) for each in case.effects)
     return Label(_TIERS[case.kind], effects, case.kind != "unknown", 0)
-
-
-def sure_of_wrong(cases: Sequence[Case], classes: Classes) -> Share:
-    """Cases in which a class has 90 % or more and is not the truth."""
-    sure, right = sure_and_right(cases, classes)
-    return share(((sure >= _SURE) & ~right).tolist())
-
-
-def surest_right(cases: Sequence[Case], classes: Classes) -> Share:
-    """Cases that are right, of those in which a class has 99 % or more."""
-    sure, right = sure_and_right(cases, classes)
-    return share(right[sure >= _SUREST].tolist())
 
 
 def scores_of(cases: Sequence[Case]) -> dict[str, Any]:

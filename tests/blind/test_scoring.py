@@ -26,6 +26,8 @@ from blind.scoring import (
     shuffled,
     size_errors,
     sure_and_right,
+    sure_of_wrong,
+    surest_right,
 )
 
 CLASSES = Classes([("air_load", "viscoelastic_stiffening"), ("crack",)])
@@ -106,6 +108,19 @@ def test_sure_and_wrong_about_an_unknown_kind() -> None:
     )
     found = confident_wrong([sure, unsure, split], CLASSES)
     assert (found.hits, found.cases) == (2, 3)
+
+
+def test_sure_of_a_wrong_class_and_right_where_surest() -> None:
+    cases = [
+        case("crack", {"crack": 0.995, "air_load": 0.005}),
+        case("crack", {"crack": 0.02, "air_load": 0.98}),
+        case("crack", {"crack": 0.005, "air_load": 0.995}),
+        case("crack", {"crack": 0.2, "air_load": 0.8}),
+        missing("crack"),
+    ]
+    wrong, surest = sure_of_wrong(cases, CLASSES), surest_right(cases, CLASSES)
+    assert (wrong.hits, wrong.cases) == (3, 5)
+    assert (surest.hits, surest.cases) == (1, 3)
 
 
 def test_calibrated_answers_have_no_error_and_sure_wrong_ones_have_all() -> None:

@@ -3,7 +3,8 @@
     python -m studies.sealed.commitments ANSWERS > studies/sealed/SET/answered.json
 
 ANSWERS is the folder of NAME.json, as `acquire diagnose --json` prints them. Commit the file that
-this prints; `committed_answers` gives the scores of a set its answers only if they are those.
+this prints; `committed_answers` gives the scores of a set its answers only if they are those. What
+was committed once stays: a file may get more entries in later commits, but none may change.
 """
 
 import argparse
@@ -29,18 +30,57 @@ def committed(path: Path) -> Any:
     Raises
     ------
     SystemExit
-        If it is not committed.
+        If it is not committed, or if it was committed before with an entry that is now another.
     """
+    # A commit that has removed the file shows nothing of it.
+    shown = [_git(path, "show", f"{one}:./{path.name}") or "null" for one in _commits(path)]
+    now, *before = map(json.loads, shown)
+    if not all(_stays(then, now) for then in before):
+        raise SystemExit(
+            f"commitments: {path}: an earlier commit has other entries; make another set"
+        )
+    return now
+
+
+def require_earlier(path: Path, other: Path) -> None:
+    """Check that a file was committed before another one.
+
+    Raises
+    ------
+    SystemExit
+        If it was not.
+    """
+    first, then = _commits(path)[-1], _commits(other)[-1]
+    earlier = _git(path, "rev-list", "--max-count=1", f"{then}..{first}") == "" and first != then
+    if not earlier:
+        raise SystemExit(f"commitments: {path}: was not committed before {other}; make another set")
+
+
+def _commits(path: Path) -> list[str]:
+    """Return the commits that changed a file, the last first."""
     folder = path.absolute().parent
     if not folder.is_dir():
         raise SystemExit(f"commitments: {folder}: is no folder; name that of the set")
-    done = subprocess.run(
-        ["git", "show", f"HEAD:./{path.name}"],
-        cwd=folder, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    if done.returncode:
+    found = _git(path, "log", "--format=%H", "--", path.name).split()
+    if not found:
         raise SystemExit(f"commitments: {path}: is not committed; commit it before you go on")
-    return json.loads(done.stdout)
+    return found
+
+
+def _git(path: Path, *asked: str) -> str:
+    """Return what git says in the folder of a file; nothing if it refuses."""
+    folder = path.absolute().parent
+    done = subprocess.run(
+        ["git", *asked], cwd=folder, capture_output=True, text=True, check=False
+    )  # fmt: skip
+    return done.stdout
+
+
+def _stays(then: Any, now: Any) -> bool:
+    """Whether all entries of a mapping, and of mappings in it, are still there."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        return all(name in now and _stays(entry, now[name]) for name, entry in then.items())
+    return bool(then == now)
 
 
 def committed_answers(answers: Path, hashes: Path) -> dict[str, dict[str, Any]]:

@@ -30,7 +30,7 @@ from blind.scoring import (
     sure_of_wrong,
     surest_right,
 )
-from studies.sealed.commitments import committed, committed_answers
+from studies.sealed.commitments import committed, committed_answers, require_earlier
 from studies.sealed.second_laboratory import SEALED, SealedCase, opened, read_cases
 
 FOLDER = Path(__file__).parent / "second_laboratory"
@@ -159,6 +159,7 @@ def opened_set(
     """
     answered = committed_answers(answers, folder / "answered.json")
     sealed = committed(folder / SEALED)["cases"]
+    require_earlier(folder / SEALED, folder / "answered.json")
     return opened(sealed, read_cases(key)), answered
 
 

@@ -151,6 +151,51 @@ def test_another_answer_than_the_committed_one_is_refused(repository):
         committed_answers(folder / "answers", hashes)
 
 
+def test_what_was_committed_once_stays_whatever_is_committed_later(repository):
+    folder, git = repository
+    hashes, answers = folder / "answered.json", hashes_of(folder / "answers")
+    for name, entries in {
+        "a part": {"one": answers["one"]},
+        "all": answers,
+    }.items():
+        hashes.write_text(json.dumps(entries))
+        git("add", "answered.json")
+        git("commit", "-m", name)
+    assert committed_answers(folder / "answers", hashes).keys() == {"one", "two"}
+    (folder / "answers" / "one.json").write_text(json.dumps({"is": "better"}))
+    hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+    git("add", "answered.json")
+    git("commit", "-m", "better")
+    with pytest.raises(SystemExit, match="earlier commit"):
+        committed_answers(folder / "answers", hashes)
+
+
+def test_a_file_that_was_removed_and_committed_again_is_refused(repository):
+    folder, git = repository
+    hashes = folder / "answered.json"
+    for name in ("first", "again"):
+        hashes.write_text(json.dumps(hashes_of(folder / "answers")))
+        git("add", "answered.json")
+        git("commit", "-m", name)
+        if name == "first":
+            git("rm", "answered.json")
+            git("commit", "-m", "away")
+    with pytest.raises(SystemExit, match="earlier commit"):
+        committed_answers(folder / "answers", hashes)
+
+
+@pytest.mark.parametrize("commits", [["answered.json", SEALED], [f"answered.json {SEALED}"]])
+def test_a_seal_that_is_no_older_than_its_answers_is_refused(repository, commits):
+    folder, git = repository
+    (folder / "answered.json").write_text(json.dumps(hashes_of(folder / "answers")))
+    (folder / SEALED).write_text(json.dumps({"cases": {}}))
+    for names in commits:
+        git("add", *names.split())
+        git("commit", "-m", names)
+    with pytest.raises(SystemExit, match="not committed before"):
+        opened_set(folder / "key.json", folder / "answers", folder)
+
+
 def test_a_missing_answer_is_refused(repository):
     folder, git = repository
     hashes = folder / "answered.json"
@@ -170,8 +215,9 @@ def test_no_key_is_read_before_answers_are_committed(repository):
     # The key is not there: what is missed first is not the key.
     with pytest.raises(SystemExit):
         opened_set(folder / "key.json", folder / "answers", folder)
-    git("add", "answered.json", SEALED)
-    git("commit", "-m", "set")
+    for name in (SEALED, "answered.json"):
+        git("add", name)
+        git("commit", "-m", name)
     with pytest.raises(FileNotFoundError):
         opened_set(folder / "key.json", folder / "answers", folder)
 
@@ -182,8 +228,9 @@ def test_a_key_must_fit_the_seal_that_was_committed(repository):
         make(folder / name, folder / f"{name}.key.json", 0.1)
     (folder / "answered.json").write_text(json.dumps(hashes_of(folder / "answers")))
     (folder / SEALED).write_bytes((folder / "cases" / SEALED).read_bytes())
-    git("add", "answered.json", SEALED)
-    git("commit", "-m", "set")
+    for name in (SEALED, "answered.json"):
+        git("add", name)
+        git("commit", "-m", name)
     cases, _ = opened_set(folder / "cases.key.json", folder / "answers", folder)
     assert cases.keys() == read_cases(folder / "cases" / SEALED).keys()
     # Another seal in its place, with its own key, opens nothing.

@@ -360,7 +360,7 @@ def main() -> None:
         _print_tables(result)
         _print_claims(result)
     nothing = all(not case["identified"] for case in result["nothing"].values())
-    reached = result["time_met"] and not any(goal["missed"] for goal in result["goals"])
+    reached = result["time_met"] and all(Goal(**goal).reached for goal in result["goals"])
     sys.exit(0 if nothing and reached else 1)
 
 

@@ -58,7 +58,7 @@ def main(words: Sequence[str] | None = None) -> int:
     else:
         print(*table_lines(table), *(f"refused: {k}: {v}" for k, v in refused.items()), sep="\n")
         print(*goal_lines(reached), sep="\n")
-    return int(any(goal.missed for goal in reached))
+    return int(not all(goal.reached for goal in reached))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -166,6 +166,11 @@ class Goal:
     missed: tuple[str, ...]
     of: int
 
+    @property
+    def reached(self) -> bool:
+        """Whether there is something that had to reach it, and all of that did."""
+        return self.of > 0 and not self.missed
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
         return asdict(self)
@@ -182,7 +187,7 @@ def goals(found: Sequence[Comparison], table: Sequence[Score]) -> list[Goal]:
     """
     modes = [s for s in table if _unit(s.quantity) == "cents"]
     others = [s for s in table if s not in modes]
-    strong = [s for s in modes if s.quantity in STRONG]
+    sd_cents = {s.quantity: s.sd for s in modes}
     young = [s for s in table if s.quantity == _YOUNG]
     names = {s.quantity for s in modes}
     stated = [each for each in found if each.quantity in names]
@@ -209,8 +214,12 @@ def goals(found: Sequence[Comparison], table: Sequence[Score]) -> list[Goal]:
         Goal(
             f"standard deviation of at most {SD_CENTS:g} cents",
             # A mode that is stated once or never has none.
-            tuple(f"{s.quantity} {s.sd:.1f}" for s in strong if not s.sd <= SD_CENTS),
-            len(strong),
+            tuple(
+                f"{name} {sd_cents.get(name, math.nan):.1f}"
+                for name in STRONG
+                if not sd_cents.get(name, math.nan) <= SD_CENTS
+            ),
+            len(STRONG),
         ),
         Goal(
             f"no frequency off by more than {errors:g} standard errors and {cents:g} cents",
@@ -237,10 +246,13 @@ def _chance(score: Score) -> float:
 
 def goal_lines(reached: Sequence[Goal]) -> list[str]:
     """Return goals as lines of text."""
-    return [
-        f"{each.goal}: " + (f"missed by {'; '.join(each.missed)}" if each.missed else "reached")
-        for each in reached
-    ]
+    lines = []
+    for each in reached:
+        answer = "reached" if each.reached else "nothing was stated"
+        lines.append(
+            f"{each.goal}: " + (f"missed by {'; '.join(each.missed)}" if each.missed else answer)
+        )
+    return lines
 
 
 def _unit(quantity: str) -> str:

@@ -33,8 +33,8 @@ def committed(path: Path) -> Any:
         If it is not committed, or if it was committed before with an entry that is now another.
     """
     # A commit that has removed the file shows nothing of it.
-    shown = [_git(path, "show", f"{one}:./{path.name}") or "null" for one in _commits(path)]
-    now, *before = map(json.loads, shown)
+    shown = [_git(path, "show", f"{one}:./{path.name}").stdout for one in _commits(path)]
+    now, *before = (json.loads(text) if text else None for text in shown)
     if not all(_stays(then, now) for then in before):
         raise SystemExit(
             f"commitments: {path}: an earlier commit has other entries; make another set"
@@ -51,8 +51,8 @@ def require_earlier(path: Path, other: Path) -> None:
         If it was not.
     """
     first, then = _commits(path)[-1], _commits(other)[-1]
-    earlier = _git(path, "rev-list", "--max-count=1", f"{then}..{first}") == "" and first != then
-    if not earlier:
+    leads_to = _git(path, "merge-base", "--is-ancestor", first, then).returncode == 0
+    if first == then or not leads_to:
         raise SystemExit(f"commitments: {path}: was not committed before {other}; make another set")
 
 
@@ -61,19 +61,16 @@ def _commits(path: Path) -> list[str]:
     folder = path.absolute().parent
     if not folder.is_dir():
         raise SystemExit(f"commitments: {folder}: is no folder; name that of the set")
-    found = _git(path, "log", "--format=%H", "--", path.name).split()
+    found = _git(path, "log", "--format=%H", "--", path.name).stdout.split()
     if not found:
         raise SystemExit(f"commitments: {path}: is not committed; commit it before you go on")
     return found
 
 
-def _git(path: Path, *asked: str) -> str:
-    """Return what git says in the folder of a file; nothing if it refuses."""
+def _git(path: Path, *asked: str) -> subprocess.CompletedProcess[str]:
+    """Let git answer in the folder of a file; it may refuse."""
     folder = path.absolute().parent
-    done = subprocess.run(
-        ["git", *asked], cwd=folder, capture_output=True, text=True, check=False
-    )  # fmt: skip
-    return done.stdout
+    return subprocess.run(["git", *asked], cwd=folder, capture_output=True, text=True, check=False)
 
 
 def _stays(then: Any, now: Any) -> bool:

@@ -22,7 +22,8 @@ SENSORS: dict[str, tuple[int, int]] = {
     "quarter": (512, 640),
     "full": (1024, 1280),
 }
-# Length of the vamp, and its half width, where points beside the reed count as its edge.
+# Length of the vamp (paper, section II.A.2) and its half width at the tip (drawing of the reed);
+# points outside the contour count as on it.
 _VAMP_MM = 38.0, 6.5
 _MODULE = "studies.second_laboratory.instruments"
 

@@ -97,7 +97,7 @@ def reed_truth(reed: ReedParameters, bench: BenchParameters | None = None) -> di
         }
         if bench is not None:
             drive = Drive(bench.drive, clay=cane.dryness == 0.0)
-            modes[pole.name]["nm_per_volt"] = 1e6 * _largest_mm(model, drive, pole)
+            modes[pole.name]["nm_per_volt"] = 1e6 * mode_mm(model, drive, pole)
     at_4khz = 2 * np.pi * 4000.0
     return {
         "modes": modes,
@@ -119,8 +119,8 @@ def reed_truth(reed: ReedParameters, bench: BenchParameters | None = None) -> di
     }
 
 
-def _largest_mm(model: Reed, drive: Drive, pole: Pole) -> float:
-    """Return the largest displacement of a mode at its frequency, per volt."""
+def mode_mm(model: Reed, drive: Drive, pole: Pole) -> float:
+    """Return the largest displacement of a mode alone at its frequency, per volt."""
     x, y = np.meshgrid(np.linspace(0, _VAMP_MM[0], 153), np.linspace(-1, 1, 53) * _VAMP_MM[1])
     hz, vector = pole.frequency_hz, pole.vector
     force = vector @ model.load(drive.pressure_mpa(hz, model.load_x, model.load_y))

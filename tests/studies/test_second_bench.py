@@ -9,7 +9,7 @@ from scipy.special import jv
 
 import acquire
 from drivers.errors import InstrumentError, LimitError
-from studies.second_laboratory.bench import bench_file, protocol
+from studies.second_laboratory.bench import bench_file, mode_mm, protocol
 from studies.second_laboratory.cane import Cane
 from studies.second_laboratory.drive import Drive
 from studies.second_laboratory.instruments import FreeRunningCamera, VirtualClock
@@ -124,6 +124,28 @@ class BlindCamera(FreeRunningCamera):
 
     def _expose(self, starts_s, exposure_s):
         return [np.zeros(self.shape, np.uint16) for _ in starts_s]
+
+
+@pytest.mark.parametrize("name", ["F1", "T1"])
+def test_a_mode_is_what_the_reed_moves_without_the_others(reed, name):
+    """The response of the whole reed, solved at once, less what all other poles add to it.
+
+    Each pole has the moduli of its own frequency, so that what the others add is known to some per
+    cent: little where the mode moves most of the reed.
+    """
+    drive = Drive(BenchParameters().drive, clay=True)
+    (own,) = (pole for pole in reed.poles if pole.name == name)
+    hz = own.frequency_hz
+    pressure = drive.pressure_mpa(hz, reed.load_x, reed.load_y)
+    left = reed.response(hz, pressure)
+    for pole in reed.poles:
+        if pole is not own:
+            square = (pole.frequency_hz / hz) ** 2 * (1 + 1j * pole.loss_factor)
+            force = pole.vector @ reed.load(pressure) / (2 * np.pi * hz) ** 2
+            left = left - pole.vector * force / (square - 1)
+    x, y = np.meshgrid(np.linspace(0, 38, 100), np.linspace(-6.5, 6.5, 41))
+    moved = reed.deflection(x.ravel(), y.ravel()) @ left
+    assert mode_mm(reed, drive, own) == pytest.approx(np.abs(moved).max(), rel=0.005)
 
 
 @pytest.fixture

@@ -189,6 +189,10 @@ class Reed:
         at = np.column_stack([np.maximum(x, 1e-3), np.sign(y) * np.maximum(inside, 0)])
         return np.asarray(np.nan_to_num((self._on_bark if bark else self._in_middle)(at)))
 
+    def deflection_of_nodes(self, end: float) -> Array:
+        """Return the same at the nodes of the bark side before x = end (mm), edges included."""
+        return np.asarray(self._bark[self._positions[:, 0] < end])
+
     @cached_property
     def _on_bark(self) -> CloughTocher2DInterpolator:
         return CloughTocher2DInterpolator(self._positions, self._bark)

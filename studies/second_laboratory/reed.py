@@ -190,7 +190,10 @@ class Reed:
         return np.asarray(np.nan_to_num((self._on_bark if bark else self._in_middle)(at)))
 
     def deflection_of_nodes(self, end: float) -> Array:
-        """Return the same at the nodes of the bark side before x = end (mm), edges included."""
+        """Return the basis's displacement along z at nodes of the bark side, shape (n, m).
+
+        They are those before x = end, in mm; the outermost lie on the outline itself.
+        """
         return np.asarray(self._bark[self._positions[:, 0] < end])
 
     @cached_property

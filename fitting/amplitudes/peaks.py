@@ -7,13 +7,18 @@ sensitivity vector is then 4π/λ long and normal to the surface).
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.amplitudes.vamp import VampPoints
 from fitting.modal.identify import JointFit
+from fitting.reed_place import moves
 from holography.arrays import Array
 from holography.fringes import displacement_m
+
+Scalar = TypeVar("Scalar", np.float64, np.complex128)
 
 # Relative error of a displacement that few functions continue from the blocks to the contour: 68 %
 # of those of random canes are smaller (`python -m studies.amplitudes --continuation`).
@@ -66,8 +71,8 @@ def peak_amplitudes(fit: JointFit, points: VampPoints, wavelength_m: float) -> P
     """Return the largest displacement of the reed in every hologram.
 
     These are the displacements of the holograms themselves, before modes are fitted to them. Their
-    errors come from the noise of the hologram, from the common-mode error, and from the
-    continuation to the contour.
+    errors come from the noise of the hologram, from the common-mode error, from the place of the
+    reed in the image, and from the continuation to the contour.
 
     Parameters
     ----------
@@ -87,6 +92,9 @@ def peak_amplitudes(fit: JointFit, points: VampPoints, wavelength_m: float) -> P
     common = np.einsum("ka,kaq->kq", by, found.common_mode.response)
     shared = np.linalg.solve(found.common_mode.whole, common.T)
     variance += np.einsum("kq,qk->k", common, shared) + (_CONTINUATION * size) ** 2
+    for k, point in enumerate(top):
+        by_place = _by_place(points, point, found.amplitude_rad[k]) * direction[k].conj()
+        variance[k] += by_place.real @ fit.block_amplitudes.place.covariance @ by_place.real
     known = found.reached & np.any(found.information, axis=(1, 2))
     nm = 1e9 * displacement_m(np.stack([size, np.sqrt(variance)]), wavelength_m)
     value, error = np.where(known, nm, np.nan)
@@ -103,7 +111,8 @@ def mode_amplitudes(
     that a turn of their phase by 0.1 rad increases them by 0.5 %. The holograms alone determine
     their size better: the mode is scaled by what the move has done at its largest point, in the
     hologram nearest to its resonance. The error comes from the covariance of the modal fit, from
-    the common-mode error of the holograms, and from the continuation to the contour.
+    the common-mode error of the holograms, from the place of the reed in the image, and from the
+    continuation to the contour.
 
     Parameters
     ----------
@@ -127,6 +136,8 @@ def mode_amplitudes(
         common = by @ response / max(abs(here) ** 2, 1e-12)
         own = functions[top] @ modal.resonant.covariance[a] @ functions[top]
         shared = common @ np.linalg.solve(found.common_mode.whole, common) + _CONTINUATION**2
+        by_place = _by_place(points, top, modal.resonant.amplitude_rad[a])
+        own += by_place @ fit.block_amplitudes.place.covariance @ by_place
         nm, error_nm = 1e9 * displacement_m([rad, np.sqrt(own + rad**2 * shared)], wavelength_m)
         log_volts = np.interp(np.log(modal.hz[a]), log_hz, np.log(fit.block_amplitudes.volts))
         answer[name] = ModeAmplitude(
@@ -136,6 +147,17 @@ def mode_amplitudes(
             y_m=float(points.y_m[top]),
             volts=float(np.exp(log_volts)),
         )
+    return answer
+
+
+def _by_place(points: VampPoints, point: int, amplitude: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return derivatives (3,) of the displacement at a point by the place of the reed.
+
+    Amplitudes (j,) of the functions are fitted where the reed is taken to lie. If it lies
+    elsewhere, they give the displacement of another point of it.
+    """
+    moved = moves(points.x_m[point], points.y_m[point])
+    answer: NDArray[Scalar] = (points.slopes[:, point] @ amplitude) @ moved
     return answer
 
 

@@ -98,6 +98,7 @@ class ReedFit:
                 "path": str(sweep.path),
                 "reed": sweep.reed,
                 "series": sweep.series,
+                "place": _place_of(sweep),
                 "modes": {name: _to_json(sweep, name) for name in sweep.resonances},
                 "not_sure": {name: _to_json(sweep, name) for name in sweep.not_sure},
                 "not_identified": dict(sweep.not_identified),
@@ -129,6 +130,22 @@ class ReedFit:
             "reason": self.reason,
             "runs": runs,
         }
+
+
+def _place_of(sweep: SweepFit) -> dict[str, float] | None:
+    """Return where the reed lies in the image, with stable keys; None without a joint fit."""
+    if sweep.joint is None:
+        return None
+    place = sweep.joint.block_amplitudes.place
+    along, across, turn = (1e3 * place.error).tolist()
+    return {
+        "along_mm": 1e3 * place.along_m,
+        "along_error_mm": along,
+        "across_mm": 1e3 * place.across_m,
+        "across_error_mm": across,
+        "turn_mrad": 1e3 * place.turn_rad,
+        "turn_error_mrad": turn,
+    }
 
 
 def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ right singular vector is the speckle field of the pixels, which weights their co
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from scipy.linalg import toeplitz
 from fitting.errors import FitError
 from fitting.fringes.pictures import good_steps
 from fitting.parallel.threads import map_threads
+from fitting.reed_place import ReedPlace, nominal_place, reed_place
 from holography.apodisation import Taper, apodised, least_taper
 from holography.arrays import Array, Complex64Array
 from physics.reed.geometry import half_width_m
@@ -113,6 +114,8 @@ class BlockAmplitudes:
         Peak volts at the load.
     others : tuple of SidebandAmplitudes
         Block amplitudes of the other sidebands of the protocol.
+    place : ReedPlace
+        Where the reed lies in the image; `x_m` and `y_m` are coordinates on the reed.
     subtracted : (n, k) complex64, optional
         Unshifted light that was subtracted from `value`.
     """
@@ -129,6 +132,7 @@ class BlockAmplitudes:
     drive_hz: Array
     volts: Array
     others: tuple[SidebandAmplitudes, ...] = ()
+    place: ReedPlace = field(default_factory=nominal_place)
     subtracted: Complex64Array | None = None
 
     @property
@@ -155,7 +159,8 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         If a step cannot be read.
     """
     steps = good_steps(run)
-    blocks = _blocks(run)
+    place = reed_place(run, steps)
+    blocks = _blocks(run, place)
     others = _others(run, steps)
     all_steps = [*steps, *(step for found in others.values() for step in found.values())]
     value, right = _leading(_holograms(run, all_steps, blocks, unshifted))
@@ -163,7 +168,8 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
     unit = np.sqrt(noise).astype(np.float32)[:, None]
     value /= unit
     down, across = blocks.tapers
-    (x_m, y_m), spread = blocks.light(right)
+    middle_m, spread = blocks.light(right)
+    x_m, y_m = place.on_reed(*middle_m)
     return BlockAmplitudes(
         value=np.ascontiguousarray(value[:, : len(steps)]),
         x_m=x_m,
@@ -178,6 +184,7 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         drive_hz=np.array([float(step.read_drive_hz or step.drive_hz) for step in steps]),
         volts=np.array([step.volts for step in steps]),
         others=_split(others, value[:, len(steps) :], len(steps)),
+        place=place,
         subtracted=None
         if unshifted is None
         else _unshifted_amplitudes(run, unshifted, steps, blocks, right) / unit,
@@ -247,7 +254,7 @@ class _Blocks:
     high, wide : int
         Pixels in a block.
     x_m, y_m : (n, p) float
-        Coordinates of the pixels of each used block, row by row.
+        Coordinates in the image of the pixels of each used block, row by row.
     """
 
     inside: NDArray[np.bool_]
@@ -276,7 +283,7 @@ class _Blocks:
         Returns
         -------
         middle_m : (2, n) float
-            Mean x and y.
+            Mean x and y, in the image.
         spread : (2, n) float
             Standard deviation along x and y, in sides of a block.
         """
@@ -307,13 +314,14 @@ class _Blocks:
         return chosen.reshape(len(chosen), -1)
 
 
-def _blocks(run: Run) -> _Blocks:
+def _blocks(run: Run, place: ReedPlace) -> _Blocks:
     """Find the blocks of a run's image that lie on the vamp."""
     high, wide = (
         max(_LEAST_PIXELS, round(_BLOCK_M / _pixel_m(axis_m))) for axis_m in (run.y_m, run.x_m)
     )
     y_m, x_m = _in_blocks(run.y_m, high), _in_blocks(run.x_m, wide)
-    Y, X = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
+    in_image = np.meshgrid(y_m.mean(axis=1), x_m.mean(axis=1), indexing="ij")
+    X, Y = place.on_reed(*reversed(in_image))
     reed = run.reed_file().geometry()
     inside_edge_m = half_width_m(reed.outline, X) - np.abs(Y)
     visible_m = reed.vamp_x_m[-1] + _BEHIND_VAMP_M

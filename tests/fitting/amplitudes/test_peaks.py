@@ -12,6 +12,7 @@ from fitting.amplitudes.response import Response
 from fitting.amplitudes.vamp import VampPoints, vamp_points
 from fitting.cane.fit_runs import fit_runs
 from fitting.fringes.start_frequencies import middling_shapes
+from fitting.reed_place import ReedPlace, nominal_place
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import half_width_m
 from physics.reed.reduced.elastic import elastic_modes
@@ -42,7 +43,8 @@ def planted(amplitude_rad, spread_rad=0.01, shared=0.0):
                 response=response, whole=np.array([[1 / max(shared, 1e-9) ** 2]])
             ),
             reached=np.ones(count, dtype=bool),
-        )
+        ),
+        block_amplitudes=SimpleNamespace(place=nominal_place()),
     )
 
 
@@ -50,6 +52,13 @@ POINTS = VampPoints(
     np.array([1e-3, 0.0, 2e-3]),
     np.array([0.0, 5e-3, 0.0]),
     np.array([[1.0, 0.2], [2.0, 0.5], [0.3, 1.0]]),
+    # The first function falls along x by 10 % a millimetre, and both rise along y by 20 %.
+    np.array(
+        [
+            [[-100.0, 0.0], [-200.0, 0.0], [-30.0, 0.0]],
+            [[200.0, 40.0], [400.0, 100.0], [60.0, 200.0]],
+        ]
+    ),
 )
 
 
@@ -72,6 +81,45 @@ def test_the_common_mode_error_adds_to_the_error():
     """All displacements are 2 % too large or too small; and 0.1 % from the continuation."""
     peaks = peak_amplitudes(planted(np.array([[30.0, 0.0]]), 1e-6, 0.02), POINTS, WAVELENGTH_M)
     assert peaks.error_nm == pytest.approx(np.hypot(0.02, 1e-3) * peaks.nm, rel=1e-6)
+
+
+def test_the_error_of_the_place_adds_to_the_error():
+    """Along 0.01 mm, across 0.02 mm and a turn of 1 mrad, at a point at y = 5 mm."""
+    fit = planted(np.array([[3.0j, 0.0]]), 1e-6)
+    errors = 0.01e-3, 0.02e-3, 1e-3
+    fit.block_amplitudes.place = ReedPlace(0, 0, 0, np.diag(np.square(errors)))
+    peaks = peak_amplitudes(fit, POINTS, WAVELENGTH_M)
+    # Per millimetre it changes by 10 % and 20 %; the turn moves the point by 5 µm along x.
+    parts = 0.01 * 0.1, 0.02 * 0.2, 0.005 * 0.1, 1e-3
+    assert peaks.error_nm == pytest.approx(np.linalg.norm(parts) * peaks.nm, rel=1e-6)
+    fit.block_amplitudes.drive_hz, fit.block_amplitudes.volts = np.array([2e3]), np.array([2.0])
+    fit.names = ("F1",)
+    fit.modal = SimpleNamespace(
+        hz=np.array([2e3]),
+        common_mode_shift=np.zeros((1, 1)),
+        resonant=SimpleNamespace(
+            amplitude_rad=np.array([[3.0, 0.0]]), covariance=np.zeros((1, 2, 2))
+        ),
+    )
+    mode = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
+    assert mode.error_nm == pytest.approx(np.linalg.norm(parts) * mode.nm, rel=1e-6)
+
+
+def test_slopes_are_those_of_the_functions(reed, blocks):
+    cane = viscoelastic_cane(Components(), Series.A)
+    basis = middling_shapes(reed, cane, *blocks)
+    points = vamp_points(reed, cane, basis, *blocks)
+    x_m, y_m = blocks
+    # Blocks 0.6 mm apart, along x and along y, and the mean of their slopes.
+    for axis, (along, other) in enumerate(((x_m, y_m), (y_m, x_m))):
+        apart = np.isclose(along[:, None] + 0.6e-3, along) & np.isclose(other[:, None], other)
+        first, second = np.nonzero(apart)
+        assert first.size > 1000
+        change = points.functions[second] - points.functions[first]
+        mean = 0.5 * (points.slopes[axis, first] + points.slopes[axis, second])
+        off = np.sqrt(np.mean((change - 0.6e-3 * mean) ** 2))
+        # They are differences over 0.2 mm, and serve for errors.
+        assert off < 0.15 * np.sqrt(np.mean(change**2))
 
 
 def test_holograms_without_a_solution_have_no_displacement():
@@ -116,7 +164,9 @@ def test_a_turn_that_the_modal_fit_adds_to_all_displacements_changes_no_size(tur
     fit = planted(np.array([[3.0, 0.0]]))
     fit.displacements.common_mode.response[0, :, 0] = [0.0, 0.0, 3.0, 0.0]
     stretched = 3.0 * abs(1 + 1j * turn_rad)
-    fit.block_amplitudes = SimpleNamespace(drive_hz=np.array([2000.0]), volts=np.array([2.0]))
+    fit.block_amplitudes = SimpleNamespace(
+        drive_hz=np.array([2000.0]), volts=np.array([2.0]), place=nominal_place()
+    )
     fit.names = ("F1",)
     fit.modal = SimpleNamespace(
         hz=np.array([2000.0]),

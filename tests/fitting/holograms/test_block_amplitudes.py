@@ -1,6 +1,7 @@
 """Block amplitudes of planted matrices of rank one, and of run files made for the test."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,6 +21,7 @@ from fitting.holograms.block_amplitudes import (
     _leading,
     read_block_amplitudes,
 )
+from fitting.reed_place import nominal_place
 from holography.apodisation import Taper
 from physics.reed.geometry import Outline, half_width_m
 from protocols.protocol import Protocol
@@ -155,6 +157,14 @@ def axes(sweep_a):
 
 
 @pytest.fixture
+def at_nominal_place(monkeypatch):
+    """Light without edges, which tells no place."""
+    monkeypatch.setattr(
+        "fitting.holograms.block_amplitudes.reed_place", lambda _run, _steps: nominal_place()
+    )
+
+
+@pytest.fixture
 def rectangular(monkeypatch):
     """A sensor without a window: no pixel shows light of another one."""
     monkeypatch.setattr("fitting.holograms.block_amplitudes._FROM_BEYOND", 1.0)
@@ -187,8 +197,12 @@ def test_every_good_step_is_a_hologram_in_order_of_frequency(sweep_a, block_ampl
 
 
 def test_bad_steps_are_left_out_and_the_order_of_the_file_is_of_no_matter(
-    changed, axes, block_amplitudes
+    changed, axes, block_amplitudes, monkeypatch
 ):
+    # Few holograms tell the place a little differently, and other blocks lie on the reed.
+    monkeypatch.setattr(
+        "fitting.holograms.block_amplitudes.reed_place", lambda *_: block_amplitudes.place
+    )
     order = np.random.default_rng(3).permutation(87)
     path = changed(only=(21, 61), verdicts={31: "saturated", 45: "pending"}, order=order)
     few = read(path)
@@ -211,9 +225,13 @@ def test_too_few_good_steps_are_refused_with_what_is_wrong(changed):
 def test_places_lie_inside_the_visible_reed_and_inside_their_blocks(block_amplitudes, axes):
     y_m, x_m, high, wide = axes
     assert (high, wide) == (2, 3)
+    # In the image: the reed is turned so little that its place has an inverse with other signs.
+    place = block_amplitudes.place
+    back = replace(place, along_m=0, across_m=0, turn_rad=-place.turn_rad)
+    x, y = back.on_reed(block_amplitudes.x_m, block_amplitudes.y_m)
     for axis, places, size in (
-        (y_m, block_amplitudes.y_m, high),
-        (x_m, block_amplitudes.x_m, wide),
+        (y_m, y + place.across_m, high),
+        (x_m, x + place.along_m, wide),
     ):
         whole = axis[: len(axis) // size * size].reshape(-1, size)
         # Some block has a place between its edges, half a pixel outside its outermost pixels.
@@ -243,13 +261,15 @@ def test_blocks_of_coarse_images_have_pixels_on_both_sides_of_their_middle(sweep
         coarse = SimpleNamespace(
             x_m=run.x_m[::coarser], y_m=run.y_m[::coarser], reed_file=run.reed_file
         )
-        blocks = _blocks(coarse)
+        blocks = _blocks(coarse, nominal_place())
     assert (blocks.high, blocks.wide) == (2, 2)
     for places in (blocks.x_m, blocks.y_m):
         assert (np.ptp(places, axis=1) > 0).all()
 
 
-def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields, rectangular):
+def test_places_are_those_of_the_pixels_with_light(
+    changed, axes, write_fields, rectangular, at_nominal_place
+):
     """One pixel of each block is lit, then two, one of them with four times the power."""
     y_m, x_m, high, wide = axes
     rng = np.random.default_rng(4)
@@ -274,7 +294,7 @@ def test_places_are_those_of_the_pixels_with_light(changed, axes, write_fields, 
 
 
 @pytest.fixture
-def plain(changed, write_fields):
+def plain(changed, write_fields, at_nominal_place):
     """Make a run of rank one, with an amplitude of each hologram, as if all blocks moved equally.
 
     The light of each pixel has a mean power of 900, and noise one of 1.
@@ -321,7 +341,7 @@ def test_light_spreads_along_each_axis_as_its_pixels_say(plain):
     _, factor = apart(found.value, np.broadcast_to(phasor, found.value.shape))
     power = found.noise_variance * factor**2
     with Run.open(path) as run:
-        blocks = _blocks(run)
+        blocks = _blocks(run, nominal_place())
     middle_m = np.stack([blocks.x_m.mean(axis=1), blocks.y_m.mean(axis=1)])
     off = (np.stack([found.x_m, found.y_m]) - middle_m) / np.reshape(found.size_m, (2, 1))
     # Three pixels along x, two along y.

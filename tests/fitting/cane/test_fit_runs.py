@@ -1,6 +1,8 @@
 """From a run file to a reed: what `acquire fit` says of a reed whose cane is known."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +16,11 @@ from fitting.cane.fit_runs import (
     model_name,
 )
 from fitting.cane.reed_fit import fit_components
-from fitting.cane.sweep_fit import ReedFit
+from fitting.cane.sweep_fit import ReedFit, _place_of
 from fitting.errors import FitError
 from fitting.forward import PaperModel
 from fitting.fringes.pictures import read_pictures
+from fitting.reed_place import ReedPlace
 from physics.reed.cane.viscoelastic import (
     Series,
     storage_modulus_pa,
@@ -146,8 +149,19 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
     assert {len(values) for values in response.values()} == {87}
     assert run == {
         "path": str(sweep_a), "reed": REED, "series": "A", "modes": answer["modes"],
-        "not_sure": {}, "not_identified": {}, "excitation_peaks": [],
+        "not_sure": {}, "not_identified": {}, "excitation_peaks": [], "place": None,
     }  # fmt: skip
+
+
+def test_the_place_of_the_reed_is_stated_with_its_errors(sweep):
+    place = ReedPlace(1e-4, -2e-4, 3e-3, np.diag(np.square([1e-5, 2e-5, 1e-3])))
+    joint = SimpleNamespace(block_amplitudes=SimpleNamespace(place=place))
+    assert _place_of(replace(sweep, joint=joint)) == pytest.approx(
+        {
+            "along_mm": 0.1, "along_error_mm": 0.01, "across_mm": -0.2, "across_error_mm": 0.02,
+            "turn_mrad": 3.0, "turn_error_mrad": 1.0,
+        }
+    )  # fmt: skip
 
 
 def test_documented_keys_are_all_there_are(fitted, request):

@@ -29,11 +29,12 @@ from numpy.typing import NDArray
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.drive.prior import HELD_LEVEL, DriveForm, quiet_ripple
+from fitting.modal.expected.prior import Prior
 from fitting.modal.field_drift import covariance_by_other_changes
 from fitting.modal.first_state import FIRST_SCATTER, at_level, participation_scale, staged
 from fitting.modal.losses import connected_by, expected_shared, forms_of, shared_drift
 from fitting.modal.modal_fit import ModalFit
-from fitting.modal.model import DRIVE_DOF, LOSS_PARAMETERS, Model, Prior, State, stage_prior, terms
+from fitting.modal.model import DRIVE_DOF, LOSS_PARAMETERS, Model, State, stage_prior, terms
 from fitting.modal.noise import Noise, noise_of
 from fitting.modal.optimiser import inverse
 from fitting.modal.posterior import Posterior, participations, resonant_displacements
@@ -263,7 +264,7 @@ def _finish(
     covariance = covariance + _by_other_changes(displacements, end, follow)
     spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
     own_hz, own_loss = np.exp(logs.reshape(2, -1))
-    mixes, expected = prior.free[count:, :count], prior.precision[prior.free] ** -0.5
+    mixes = prior.free[count:, :count]
     # Drive and participations have an undetermined common factor: the errors of participations are
     # those for a given drive.
     given_drive = factor * inverse(end.here.matrix)
@@ -279,7 +280,7 @@ def _finish(
         shapes=now.shapes[model.active],
         mixing=np.where(mixes, state.x[count:, :count], 0.0),
         mixing_error=np.where(mixes, spread[count:, :count], 0.0),
-        mixing_spread=np.where(mixes, _in_rows(prior, expected)[count:, :count], 0.0),
+        mixing_spread=prior.spread[count:, :count],
         mixing_factor=end.scatter.mixing,
         participation=at_resonance.received,
         participation_error=at_resonance.received_error,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import jv
 
 from fitting.modal.drive.prior import FIRST_GAIN, DrivePrior, Ripple, drive_prior, found_gain
+from fitting.modal.expected.prior import Prior, Ties
 from holography.arrays import Array, ComplexArray
 from physics.parameters.chamber import Chamber
 from physics.reed.reduced.dynamics import PIVOT_HZ
@@ -313,36 +314,6 @@ def slopes(model: Model, state: State, terms: Terms, pull: ComplexArray) -> tupl
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Centre and precision (v, p) of every parameter; infinite precision fixes it."""
-
-    centre: Array
-    precision: Array
-
-    @property
-    def free(self) -> NDArray[np.bool_]:
-        """Mask (v, p) of the parameters that are not fixed."""
-        return np.isfinite(self.precision)
-
-    @property
-    def positions(self) -> NDArray[np.intp]:
-        """Positions (v, p) of the parameters among the free ones; -1 where one is fixed."""
-        number = np.full(self.free.shape, -1)
-        number[self.free] = np.arange(np.count_nonzero(self.free))
-        return number
-
-    @property
-    def log_volume(self) -> float:
-        """Twice the log of the density's factor, but for a constant."""
-        return float(np.sum(np.log(self.precision[self.free])))
-
-    def cost(self, x: Array) -> float:
-        """Return twice the negative log of the prior density, but for its factor."""
-        free = self.free
-        return float(np.sum(self.precision[free] * (x - self.centre)[free] ** 2))
-
-
-@dataclass(frozen=True)
 class Stage:
     """Widths of the priors of one stage of a fit.
 
@@ -424,7 +395,25 @@ def stage_prior(model: Model, stage: Stage, centre_hz: Array, scale: Array) -> P
     mixing = stage.mixing * _mixing(model, centre_hz)
     spread[count:, :count] = np.where(_LEAST_MIXING * stage.mixing < mixing.T, mixing.T, 0)
     with np.errstate(divide="ignore"):
-        return Prior(centre, spread**-2.0)
+        return Prior(centre, spread**-2.0, _ties(model, stage, spread))
+
+
+def _ties(model: Model, stage: Stage, spread: Array) -> Ties:
+    """Tie the mixings of each two modes of the sweep into each other.
+
+    Modes are orthogonal in the mass, but for what mass differs by. Of shapes of unit mass, each two
+    contain as much of each other, with opposite signs.
+    """
+    count, active = len(model.active), model.active
+    one, other = np.triu_indices(count, 1)
+    # In the row of a shape, the mixing into a mode.
+    at = np.array([[count + active[other], count + active[one]], [one, other]])
+    free = np.all(spread[tuple(at)] > 0, axis=0)
+    # Of shapes of unit elastic energy; times its frequency, of unit mass.
+    largest = (model.forms.scale * model.reference_hz)[active]
+    ratio = largest[one] / largest[other]
+    weights = np.stack([ratio, 1 / ratio])[:, free]
+    return Ties(at[:, :, free], weights, (stage.mixing * _PERTURBATION) ** -2.0)
 
 
 def rescaled(prior: Prior, model: Model, stage: Stage, scale: Array) -> Prior:

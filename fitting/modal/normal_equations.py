@@ -17,13 +17,13 @@ from scipy import linalg
 
 from fitting.holograms.linearisation import triangle
 from fitting.modal.drive.prior import DrivePrior
+from fitting.modal.expected.prior import Prior
 from fitting.modal.field_drift import FieldDrift
 from fitting.modal.model import (
     LOSS_PARAMETERS,
     TAIL_TERMS,
     ExpectedLoss,
     Model,
-    Prior,
     State,
     Terms,
     drive_prior_at,
@@ -197,7 +197,7 @@ def equations(model: Model, data: Data, prior: Prior, at: "Evaluation") -> Equat
         matrix[rows[rows >= 0], first:] = with_shared[rows >= 0]
         coupling[rows[rows >= 0]] = with_drive[rows >= 0]
     matrix[first:, first:] = _shared_with_shared(columns, data) + data.precision
-    matrix[np.arange(first), np.arange(first)] += prior.precision[prior.free]
+    prior.add_to(matrix)
     expected = at.expected
     losses, by_losses = number[tuple(expected.slots)], slice(first, first + LOSS_PARAMETERS)
     known = expected.precision[:, None] * expected.slopes
@@ -258,8 +258,7 @@ def negative_gradient(model: Model, data: Data, prior: Prior, at: Evaluation) ->
     pull = force[:, : force.shape[1] // 2] - 1j * force[:, force.shape[1] // 2 :]
     of_drive = np.sum(now.amplitude * pull, axis=1)
     of_parameters, of_losses = slopes(model, state, now, pull)
-    offset = np.zeros_like(state.x)
-    offset[free] = prior.precision[free] * (state.x - at.expected.prior.centre)[free]
+    offset = at.expected.prior.pull(state.x)
     of_shared = data.drift.gathered(np.concatenate([of_losses, of_light.T]))
     of_shared -= data.precision @ state.shared - data.pull
     of_shared[:LOSS_PARAMETERS] += offset[tuple(at.expected.slots)] @ at.expected.slopes

@@ -20,11 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from fitting.errors import FitError
-from fitting.modal.model import (
-    Model,
-    Prior,
-    State,
-)
+from fitting.modal.expected.prior import Prior
+from fitting.modal.model import Model, State
 from fitting.modal.noise import Data
 from fitting.modal.normal_equations import (
     Equations,

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fitting.modal.expected.prior import Prior
 from fitting.modal.model import (
     Model,
-    Prior,
     State,
     Terms,
     drive_prior_at,

@@ -16,13 +16,13 @@ from fitting.modal.drive.prior import (
     KnownMagnitude,
     found_ripple,
 )
+from fitting.modal.expected.prior import Prior
 from fitting.modal.field_drift import FieldDrift, SharedError, found_walk, shared_error
 from fitting.modal.losses import connected, resonances, with_loss_parameters
 from fitting.modal.model import (
     CONNECTING,
     LOSS_PARAMETERS,
     Model,
-    Prior,
     Stage,
     State,
     drive_prior_at,
@@ -202,7 +202,8 @@ def _with_mixing(prior: Prior, count: int, factor: float) -> Prior:
     """Multiply the prior standard deviations of the mixing of shapes into `count` modes."""
     precision = prior.precision.copy()
     precision[count:, :count] /= factor**2
-    return replace(prior, precision=precision)
+    ties = replace(prior.ties, precision=prior.ties.precision / factor**2)
+    return replace(prior, precision=precision, ties=ties)
 
 
 def _found_mixing(
@@ -225,9 +226,8 @@ def _found_mixing(
     """
     mixes = np.zeros(used.free.shape, dtype=bool)
     mixes[count:, :count] = used.free[count:, :count]
-    open_part = used.precision[used.free] * np.diag(covariance)[: np.count_nonzero(used.free)]
-    determined = np.sum(1 - open_part[mixes[used.free]])
-    square = np.sum(expected.precision[mixes] * state.x[mixes] ** 2)
+    determined = np.count_nonzero(mixes) - used.share(covariance, mixes)
+    square = expected.cost(np.where(mixes, state.x, expected.centre))
     return float(np.sqrt((square + _EXPECTED) / (determined + _EXPECTED)))
 
 
@@ -459,7 +459,7 @@ def fixed(prior: Prior, state: State) -> State:
 
 def _effective_parameters(prior: Prior, data: Data, covariance: Array) -> float:
     """Return the effective number of parameters: those that the prior determines count in part."""
-    own = prior.precision[prior.free]
-    known = np.sum(own * np.diag(covariance)[: len(own)])
-    shared = np.sum(data.precision * covariance[len(own) :, len(own) :])
+    own = np.count_nonzero(prior.free)
+    known = prior.share(covariance, prior.free)
+    shared = np.sum(data.precision * covariance[own:, own:])
     return float(len(covariance) - known - shared)

@@ -17,8 +17,9 @@ from fitting.modal.drive.lines import (
     taken_modes,
 )
 from fitting.modal.drive.prior import Ripple, smooth_ripple, strong_ripple
+from fitting.modal.expected.prior import Prior
 from fitting.modal.first_state import FIRST_SCATTER, participation_scale, staged
-from fitting.modal.model import Model, Prior, State, rescaled, stage_prior
+from fitting.modal.model import Model, State, rescaled, stage_prior
 from fitting.modal.noise import noise_of
 from fitting.modal.rounds import (
     LAST,
@@ -167,4 +168,4 @@ def _held_at(model: Model, prior: Prior, state: State, taken: TakenMode) -> tupl
     at = taken.mode, 2 * model.powers.shape[1]
     x[at], x[at[0], at[1] + 1] = taken.log_hz, taken.log_loss
     centre[at], precision[at] = taken.log_hz, _HELD**-2
-    return Prior(centre, precision), replace(state, x=x)
+    return replace(prior, centre=centre, precision=precision), replace(state, x=x)

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from fitting.holograms.object_field import CommonModeError
 from fitting.modal import search
+from fitting.modal.expected.prior import Prior
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state, participation_scale
 from fitting.modal.fit import _model
@@ -18,7 +19,6 @@ from fitting.modal.model import (
     CONNECTING,
     LOSS_PARAMETERS,
     TAIL_TERMS,
-    Prior,
     rescaled,
     stage_prior,
     terms,

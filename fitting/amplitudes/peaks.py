@@ -92,6 +92,7 @@ def peak_amplitudes(fit: JointFit, points: VampPoints, wavelength_m: float) -> P
     common = np.einsum("ka,kaq->kq", by, found.common_mode.response)
     shared = np.linalg.solve(found.common_mode.whole, common.T)
     variance += np.einsum("kq,qk->k", common, shared) + (_CONTINUATION * size) ** 2
+    variance += (_by_magnitude(common) * fit.modal.magnitude_error) ** 2
     for k, point in enumerate(top):
         by_place = _by_place(points, point, found.amplitude_rad[k]) * direction[k].conj()
         variance[k] += by_place.real @ fit.block_amplitudes.place.covariance @ by_place.real
@@ -136,6 +137,7 @@ def mode_amplitudes(
         common = by @ response / max(abs(here) ** 2, 1e-12)
         own = functions[top] @ modal.resonant.covariance[a] @ functions[top]
         shared = common @ np.linalg.solve(found.common_mode.whole, common) + _CONTINUATION**2
+        shared += (_by_magnitude(common) * modal.magnitude_error[nearest]) ** 2
         by_place = _by_place(points, top, modal.resonant.amplitude_rad[a])
         own += by_place @ fit.block_amplitudes.place.covariance @ by_place
         nm, error_nm = 1e9 * displacement_m([rad, np.sqrt(own + rad**2 * shared)], wavelength_m)
@@ -159,6 +161,11 @@ def _by_place(points: VampPoints, point: int, amplitude: NDArray[Scalar]) -> NDA
     moved = moves(points.x_m[point], points.y_m[point])
     answer: NDArray[Scalar] = (points.slopes[:, point] @ amplitude) @ moved
     return answer
+
+
+def _by_magnitude(common: Array) -> Array:
+    """Return derivatives (...) by the magnitude of the object field, of those (..., q) by all."""
+    return common[..., 0] if common.shape[-1] else np.zeros(common.shape[:-1])
 
 
 def _along(direction: Array, functions: Array) -> Array:

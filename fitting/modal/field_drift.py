@@ -21,6 +21,8 @@ _DEGREE = 5
 # Holograms between two nodes, at least, and most nodes. Chosen: three times the width of a
 # resonance in steps of 25 cents, so that the drift cannot follow one; the walk within is noise.
 _SPACING, _MOST_NODES = 12, 17
+# What the magnitude of an object field may be off by if no hologram tells it, in nepers.
+_UNKNOWN = 1.0
 # Step of the walk of each coefficient from hologram to hologram, in nepers and rad: start, and
 # limits. Below the least, 10,000 holograms are needed for a change of 1 %; above the most, two
 # successive sweeps have nothing in common.
@@ -207,14 +209,62 @@ def found_walk(drift: FieldDrift, parameters: Array, covariance: Array, walk: fl
     It is the value for which the squares of the changes are as expected for those that the data
     determine (D. J. C. MacKay 1992, Neural Computation 4:415, equation 4.9).
     """
+    return _found_step(drift, parameters, covariance, walk, np.arange(len(drift.drifting)))
+
+
+def _found_step(
+    drift: FieldDrift, parameters: Array, covariance: Array, walk: float, some: IndexArray
+) -> float:
+    """Find the step of the walk from some of the values that drift."""
     count = len(drift.drifting)
-    if not count:
+    if not len(some):
         return walk
-    nodes = parameters[drift.constant :].reshape(-1, count)
+    nodes = parameters[drift.constant :].reshape(-1, count)[:, some]
     own = covariance[drift.constant :, drift.constant :].reshape(len(nodes), count, -1, count)
-    same = np.einsum("brcr->bc", own)
+    same = np.einsum("brcr->bc", own[:, some][..., some])
     steps = np.diff(np.eye(len(nodes)), axis=0)
     unknown = np.trace(steps @ same @ steps.T) / drift.spacing / walk**2
     squares = float(np.sum(np.diff(nodes, axis=0) ** 2)) / drift.spacing
-    determined = max(count * len(steps) - float(unknown), 1.0)
+    determined = max(len(some) * len(steps) - float(unknown), 1.0)
     return float(np.clip(np.sqrt(squares / determined), _LEAST, _MOST))
+
+
+def magnitude_error(
+    drift: FieldDrift,
+    common_mode: CommonModeError,
+    recording_rank: IndexArray,
+    parameters: Array,
+    covariance: Array,
+    walk: float,
+) -> Array:
+    """Return how well (k,) the magnitude of the object field is known in each hologram, in nepers.
+
+    Large vibrations tell it by their fringes. From there it walks to the holograms without fringes,
+    uniformly over the reed, as far in a step as the parts do that change along one axis: beams that
+    wander do both. No frequency depends on it, but all small displacements do.
+
+    Parameters
+    ----------
+    drift : FieldDrift
+    common_mode : CommonModeError
+        Of displacements before modes are known.
+    recording_rank : (k,) int
+    parameters, covariance : (p,) and (p, p) float
+        Of the fitted drift.
+    walk : float
+        See `shared_error`.
+    """
+    holograms = len(recording_rank)
+    if not len(drift.drifting):
+        return np.zeros(holograms)
+    # Other parameters that holograms share come first.
+    first = drift.constant - common_mode.response.shape[2]
+    along_an_axis = np.flatnonzero(np.isin(drift.drifting - first, of_low_degree(1)))
+    step = _found_step(drift, parameters, covariance, walk, along_an_axis)
+    order = np.argsort(recording_rank)
+    gaps = np.diff(recording_rank[order])
+    steps = np.diff(np.eye(holograms), axis=0) / np.sqrt(np.maximum(gaps, 1))[:, None] / step
+    known = np.diag(common_mode.precision[order, 0, 0] + _UNKNOWN**-2 / holograms)
+    found = np.empty(holograms)
+    found[order] = np.sqrt(np.diag(np.linalg.inv(known + steps.T @ steps)))
+    return found

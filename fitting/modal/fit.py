@@ -30,7 +30,7 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.drive.prior import HELD_LEVEL, DriveForm, quiet_ripple
 from fitting.modal.expected.prior import Prior
-from fitting.modal.field_drift import covariance_by_other_changes
+from fitting.modal.field_drift import covariance_by_other_changes, magnitude_error
 from fitting.modal.first_state import FIRST_SCATTER, at_level, participation_scale, staged
 from fitting.modal.losses import connected_by, expected_shared, forms_of, shared_drift
 from fitting.modal.modal_fit import ModalFit
@@ -295,6 +295,14 @@ def _finish(
         common_mode_shift=end.common_mode_shift,
         field_walk=end.scatter.walk,
         common_mode_covariance=of_light,
+        magnitude_error=magnitude_error(
+            end.drift,
+            displacements.common_mode,
+            displacements.recording_rank,
+            state.shared,
+            shared,
+            end.scatter.walk,
+        ),
         resonant=resonant_displacements(model, prior, state, now, posterior),
         log_drive_covariance=_mixture(weights, magnitudes)[1],
         drive_forms=_drive_forms(optima, weights),

@@ -70,6 +70,8 @@ class ModalFit:
         nepers and rad (see `fitting.modal.field_drift`).
     common_mode_covariance : (k, q, q) float
         Its covariance.
+    magnitude_error : (k,) float
+        Standard error of the magnitude of the object field in each hologram, in nepers.
     resonant : ResonantDisplacements
         Displacement of every mode at its own resonance.
     log_drive_covariance : (k, k) float
@@ -107,6 +109,7 @@ class ModalFit:
     common_mode_shift: Array
     field_walk: float
     common_mode_covariance: Array
+    magnitude_error: Array
     resonant: ResonantDisplacements
     log_drive_covariance: Array
     drive_forms: tuple[DriveForm, ...]

@@ -45,6 +45,7 @@ def planted(amplitude_rad, spread_rad=0.01, shared=0.0):
             reached=np.ones(count, dtype=bool),
         ),
         block_amplitudes=SimpleNamespace(place=nominal_place()),
+        modal=SimpleNamespace(magnitude_error=np.zeros(count)),
     )
 
 
@@ -83,6 +84,15 @@ def test_the_common_mode_error_adds_to_the_error():
     assert peaks.error_nm == pytest.approx(np.hypot(0.02, 1e-3) * peaks.nm, rel=1e-6)
 
 
+def test_light_that_may_be_brighter_adds_to_the_error():
+    """By 3 % in the first hologram; the second one has fringes, and does not follow the light."""
+    fit = planted(np.array([[3.0, 0.0], [3.0, 0.0]]), 1e-6)
+    fit.displacements.common_mode.response[1] = 0.0
+    fit.modal.magnitude_error = np.array([0.03, 0.03])
+    peaks = peak_amplitudes(fit, POINTS, WAVELENGTH_M)
+    assert peaks.error_nm == pytest.approx(np.hypot([0.03, 0.0], 1e-3) * peaks.nm, rel=1e-6)
+
+
 def test_the_error_of_the_place_adds_to_the_error():
     """Along 0.01 mm, across 0.02 mm and a turn of 1 mrad, at a point at y = 5 mm."""
     fit = planted(np.array([[3.0j, 0.0]]), 1e-6)
@@ -97,6 +107,7 @@ def test_the_error_of_the_place_adds_to_the_error():
     fit.modal = SimpleNamespace(
         hz=np.array([2e3]),
         common_mode_shift=np.zeros((1, 1)),
+        magnitude_error=np.zeros(1),
         resonant=SimpleNamespace(
             amplitude_rad=np.array([[3.0, 0.0]]), covariance=np.zeros((1, 2, 2))
         ),
@@ -171,6 +182,7 @@ def test_a_turn_that_the_modal_fit_adds_to_all_displacements_changes_no_size(tur
     fit.modal = SimpleNamespace(
         hz=np.array([2000.0]),
         common_mode_shift=np.array([[turn_rad]]),
+        magnitude_error=np.zeros(1),
         resonant=SimpleNamespace(
             amplitude_rad=np.array([[stretched, 0.0]]), covariance=1e-4 * np.eye(2)[None]
         ),

@@ -15,6 +15,7 @@ from fitting.modal.field_drift import (
     covariance_by_other_changes,
     field_drift,
     found_walk,
+    magnitude_error,
     shared_error,
 )
 
@@ -117,6 +118,32 @@ def test_the_walk_is_found_from_what_is_known_of_it(drift):
     known = np.zeros((len(parameters), len(parameters)))
     for start in (1e-3, 1e-2):
         assert found_walk(drift, parameters, known, start) == pytest.approx(walk, rel=0.15)
+
+
+def test_the_magnitude_is_known_near_holograms_that_tell_it(common_mode):
+    """From there it walks, as far as the parts that change along an axis do, whatever others do."""
+    rng, ranks = np.random.default_rng(8), np.random.default_rng(9).permutation(HOLOGRAMS)
+    drift, step = field_drift(common_mode, ranks), 4e-3
+    nodes = drift.share.shape[1]
+    along = np.isin(drift.drifting, of_low_degree(1))
+    assert np.count_nonzero(along) == 4
+    size = np.where(along, step, 0.1 * step) * np.sqrt(drift.spacing)
+    walks = np.cumsum(size * rng.standard_normal((nodes, len(along))), axis=0)
+    parameters = np.concatenate([np.zeros(drift.constant), walks.ravel()])
+    sure = 1e-12 * np.eye(len(parameters))
+    telling = replace(common_mode, precision=np.zeros_like(common_mode.precision))
+    telling.precision[np.flatnonzero(ranks < 20), 0, 0] = 0.02**-2
+    found = magnitude_error(drift, telling, ranks, parameters, sure, 1e-3)
+    walked = found_walk(drift, parameters, sure, 1e-3)
+    in_turn = found[np.argsort(ranks)]
+    # Long after the last of them it is known as there, and as far as it may have walked since.
+    used = np.sqrt((in_turn[60] ** 2 - in_turn[19] ** 2) / 41)
+    assert used == pytest.approx(step, rel=0.4)
+    assert used > 1.5 * walked
+    later = in_turn[19:] ** 2 - in_turn[19] ** 2
+    assert later == pytest.approx(used**2 * np.arange(42), rel=1e-3, abs=1e-12)
+    # Among them, as well as what some of them say together.
+    assert 0.2 * 0.02 < in_turn[10] < 0.7 * 0.02
 
 
 def test_nothing_drifts_where_nothing_is_shared():

@@ -113,7 +113,7 @@ def planted(
     reference = np.eye(modes, FUNCTIONS) + 0.1 * rng.standard_normal((modes, FUNCTIONS))
     hz = np.array(mode_hz)
     start = hz * 2 ** (off_cents / 1200 * rng.uniform(-1, 1, modes))
-    # Shapes mix as neighbours do: the more, the closer their frequencies are. Each two of equal mass
+    # Shapes mix as neighbours do: the more, the closer their frequencies are. Each two of one mass
     # contain as much of each other, with opposite signs: modes are orthogonal.
     squares = hz[:, None] ** 2
     near = np.sqrt(squares * squares.T) / (np.abs(squares - squares.T) + np.eye(modes))

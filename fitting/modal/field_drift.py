@@ -10,6 +10,7 @@ nodes and linear in between. The step of the walk is found from the sweep itself
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from fitting.holograms.object_field import CommonModeError, of_low_degree
 from holography.arrays import Array, IndexArray
@@ -148,14 +149,17 @@ def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -
     among = np.einsum(
         "krs,kb,kc->brcs", own[:, which][:, :, which], share, share, optimize=True
     ).reshape(size, size)
+    held = np.kron(_held(drift), np.eye(len(which))) / walk**2
+    precision = np.block([[common_mode.whole, cross], [cross.T, among + held]])
+    return SharedError(common_mode.response, drift, precision, drift.gathered(common_mode.pull.T))
+
+
+def _held(drift: FieldDrift) -> Array:
+    """Return the precision (b, b) of a value at the nodes of a walk of steps of 1."""
+    nodes = drift.share.shape[1]
     steps = np.diff(np.eye(nodes), axis=0)
     # The mean of the walk belongs to the constant.
-    middle = np.full((nodes, nodes), 1 / nodes**2)
-    held = (steps.T @ steps / drift.spacing + middle) / walk**2
-    precision = np.block(
-        [[common_mode.whole, cross], [cross.T, among + np.kron(held, np.eye(len(which)))]]
-    )
-    return SharedError(common_mode.response, drift, precision, drift.gathered(common_mode.pull.T))
+    return np.asarray(steps.T @ steps / drift.spacing + np.full((nodes, nodes), 1 / nodes**2))
 
 
 def _flat(nodes: Array) -> Array:
@@ -209,24 +213,42 @@ def found_walk(drift: FieldDrift, parameters: Array, covariance: Array, walk: fl
     It is the value for which the squares of the changes are as expected for those that the data
     determine (D. J. C. MacKay 1992, Neural Computation 4:415, equation 4.9).
     """
-    return _found_step(drift, parameters, covariance, walk, np.arange(len(drift.drifting)))
-
-
-def _found_step(
-    drift: FieldDrift, parameters: Array, covariance: Array, walk: float, some: IndexArray
-) -> float:
-    """Find the step of the walk from some of the values that drift."""
     count = len(drift.drifting)
-    if not len(some):
+    if not count:
         return walk
-    nodes = parameters[drift.constant :].reshape(-1, count)[:, some]
+    nodes = parameters[drift.constant :].reshape(-1, count)
     own = covariance[drift.constant :, drift.constant :].reshape(len(nodes), count, -1, count)
-    same = np.einsum("brcr->bc", own[:, some][..., some])
+    same = np.einsum("brcr->bc", own)
     steps = np.diff(np.eye(len(nodes)), axis=0)
     unknown = np.trace(steps @ same @ steps.T) / drift.spacing / walk**2
     squares = float(np.sum(np.diff(nodes, axis=0) ** 2)) / drift.spacing
-    determined = max(len(some) * len(steps) - float(unknown), 1.0)
+    determined = max(count * len(steps) - float(unknown), 1.0)
     return float(np.clip(np.sqrt(squares / determined), _LEAST, _MOST))
+
+
+def likeliest_step(
+    drift: FieldDrift, parameters: Array, covariance: Array, walk: float, some: IndexArray
+) -> float:
+    """Find the step for which some of the values (s,) that drift have the largest evidence.
+
+    The arguments are those of `found_walk`. These values may walk farther than the others, with
+    which they were fitted: what was expected of them is taken out of their covariance.
+    """
+    count, nodes = len(drift.drifting), drift.share.shape[1]
+    among = (drift.constant + np.arange(nodes)[:, None] * count + some).ravel()
+    known = np.linalg.inv(covariance[np.ix_(among, among)])
+    pull = known @ parameters[among]
+    held = np.kron(_held(drift), np.eye(len(some)))
+    known = known - held / walk**2
+
+    def unlikelihood(log_step: float) -> float:
+        expected = held / np.exp(2 * log_step)
+        whole = known + expected
+        volumes = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(expected)[1]
+        return float(volumes - pull @ np.linalg.solve(whole, pull))
+
+    limits = float(np.log(_LEAST)), float(np.log(_MOST))
+    return float(np.exp(minimize_scalar(unlikelihood, bounds=limits, method="bounded").x))
 
 
 def magnitude_error(
@@ -260,7 +282,7 @@ def magnitude_error(
     # Other parameters that holograms share come first.
     first = drift.constant - common_mode.response.shape[2]
     along_an_axis = np.flatnonzero(np.isin(drift.drifting - first, of_low_degree(1)))
-    step = _found_step(drift, parameters, covariance, walk, along_an_axis)
+    step = likeliest_step(drift, parameters, covariance, walk, along_an_axis)
     order = np.argsort(recording_rank)
     gaps = np.diff(recording_rank[order])
     steps = np.diff(np.eye(holograms), axis=0) / np.sqrt(np.maximum(gaps, 1))[:, None] / step

@@ -15,6 +15,7 @@ from fitting.modal.field_drift import (
     covariance_by_other_changes,
     field_drift,
     found_walk,
+    likeliest_step,
     magnitude_error,
     shared_error,
 )
@@ -129,8 +130,9 @@ def test_the_magnitude_is_known_near_holograms_that_tell_it(common_mode):
     assert np.count_nonzero(along) == 4
     size = np.where(along, step, 0.1 * step) * np.sqrt(drift.spacing)
     walks = np.cumsum(size * rng.standard_normal((nodes, len(along))), axis=0)
+    walks -= walks.mean(axis=0)
     parameters = np.concatenate([np.zeros(drift.constant), walks.ravel()])
-    sure = 1e-12 * np.eye(len(parameters))
+    sure = 1e-10 * np.eye(len(parameters))
     telling = replace(common_mode, precision=np.zeros_like(common_mode.precision))
     telling.precision[np.flatnonzero(ranks < 20), 0, 0] = 0.02**-2
     found = magnitude_error(drift, telling, ranks, parameters, sure, 1e-3)
@@ -144,6 +146,28 @@ def test_the_magnitude_is_known_near_holograms_that_tell_it(common_mode):
     assert later == pytest.approx(used**2 * np.arange(42), rel=1e-3, abs=1e-12)
     # Among them, as well as what some of them say together.
     assert 0.2 * 0.02 < in_turn[10] < 0.7 * 0.02
+
+
+@pytest.mark.parametrize("fitted_with", [5e-4, 2e-3, 8e-3])
+def test_the_step_of_some_values_is_found_whatever_they_were_fitted_with(drift, fitted_with):
+    """Nodes are measured with errors as large as their steps, and fitted with another prior."""
+    rng, count, nodes, step = np.random.default_rng(10), len(drift.drifting), 6, 3e-3
+    some = np.arange(0, count, 2)
+    walks = step * np.sqrt(drift.spacing) * rng.standard_normal((nodes, count))
+    true = np.cumsum(walks, axis=0)
+    true -= true.mean(axis=0)
+    error = 0.7 * step * np.sqrt(drift.spacing)
+    measured = true + error * rng.standard_normal(true.shape)
+    differences = np.diff(np.eye(nodes), axis=0)
+    held = differences.T @ differences / drift.spacing + np.full((nodes, nodes), 1 / nodes**2)
+    posterior = np.linalg.inv(np.eye(nodes) / error**2 + held / fitted_with**2)
+    parameters = np.concatenate(
+        [np.zeros(drift.constant), (posterior @ measured / error**2).ravel()]
+    )
+    covariance = np.eye(len(parameters))
+    covariance[drift.constant :, drift.constant :] = np.kron(posterior, np.eye(count))
+    found = likeliest_step(drift, parameters, covariance, fitted_with, some)
+    assert found == pytest.approx(step, rel=0.3)
 
 
 def test_nothing_drifts_where_nothing_is_shared():

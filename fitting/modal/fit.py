@@ -295,14 +295,7 @@ def _finish(
         common_mode_shift=end.common_mode_shift,
         field_walk=end.scatter.walk,
         common_mode_covariance=of_light,
-        magnitude_error=magnitude_error(
-            end.drift,
-            displacements.common_mode,
-            displacements.recording_rank,
-            state.shared,
-            shared,
-            end.scatter.walk,
-        ),
+        magnitude_error=_magnitude_error(displacements, end, shared),
         resonant=resonant_displacements(model, prior, state, now, posterior),
         log_drive_covariance=_mixture(weights, magnitudes)[1],
         drive_forms=_drive_forms(optima, weights),
@@ -318,6 +311,18 @@ def _by_other_changes(displacements: Displacements, end: Round, follow: Influenc
         return np.zeros((len(follow.light),) * 2)
     walk = end.scatter.walk
     return covariance_by_other_changes(end.drift, ranks, renewal, walk, follow.light)
+
+
+def _magnitude_error(displacements: Displacements, end: Round, covariance: Array) -> Array:
+    """Return the standard error (k,) of the light's magnitude; that of what is shared is given."""
+    return magnitude_error(
+        end.drift,
+        displacements.common_mode,
+        displacements.recording_rank,
+        end.state.shared,
+        covariance,
+        end.scatter.walk,
+    )
 
 
 def _mixture(weights: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:

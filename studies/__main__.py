@@ -8,6 +8,7 @@ COMMANDS = (
     "studies.convergence",
     "studies.reduced_basis",
     "studies.populations",
+    "studies.closure.drying",
     "studies.independence",
     "studies.recovery",
     "studies.identification",

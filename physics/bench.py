@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from holography.arrays import Array, Float32Array
 from holography.fresnel import FresnelTransform
 from holography.fringes import phase_amplitude
+from holography.region import Region
 from physics.air import pressure_on_reed
 from physics.conditions import Condition, change_of_cane, condition_at, hardened
 from physics.drive import pressure_at_tip_pa
@@ -22,8 +23,6 @@ from physics.optics import (
     kept_orders,
     lamp_profile,
     local_oscillator_profile,
-    reed_axes_m,
-    reed_region,
     sidebands,
     speckle,
     vignette_profile,
@@ -32,7 +31,8 @@ from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 from physics.reed.elements.fem import Symmetry
 from physics.reed.reduced.response import PressureForce, pressure_force
-from physics.reed.surface import on_reed, surface_shapes
+from physics.reed.surface import surface_shapes
+from physics.scatterers import Scatterers
 from physics.sensor import pixel_maps, read_out
 
 Complex64 = NDArray[np.complex64]
@@ -123,15 +123,14 @@ class BenchModel:
             layout.wavelength_m,
             layout.distance_m - layout.defocus_m,
         )
-        self.region = reed_region(layout, self.transform)
-        y, x = np.meshgrid(*reed_axes_m(layout, self.region, self.transform), indexing="ij")
-        self._lit = on_reed(motion.reed.geometry.outline, x, y)
-        self._motion, self._force = motion, _force_of(parameters, motion)
-        shapes = surface_shapes(motion.reed, x[self._lit], y[self._lit], loose=motion.loose)
         light, changes = parameters.optics.illumination, parameters.optics.interference
-        scattered, self._envelope = self._scattered_light(x, y, rng)
+        points = Scatterers.of(layout, self.transform, motion.reed.geometry.outline, light.lattices)
+        self._points = points
+        self._motion, self._force = motion, _force_of(parameters, motion)
+        shapes = surface_shapes(motion.reed, points.x_m, points.y_m, loose=motion.loose)
+        scattered, self._envelope = self._scattered_light(rng)
         # Their cost is spared where nothing changes smoothly.
-        self._smooth = smooth_shapes(x[self._lit], y[self._lit]) if changes.field_change else None
+        self._smooth = smooth_shapes(points.x_m, points.y_m) if changes.field_change else None
         self._lo = local_oscillator_profile(light, sensor)
         self._vignette = vignette_profile(light, sensor)
         self._lamp = lamp_profile(light, sensor)
@@ -146,9 +145,9 @@ class BenchModel:
         self._illuminate(scattered)
 
     def _illuminate(self, scattered: Complex64) -> None:
-        """Take the light amplitude of each pixel on the reed (n,), in √(electrons/s)."""
+        """Take the light amplitude of each point of the reed (n,), in √(electrons/s)."""
         self._object = scattered
-        self._at_rest = np.abs(self.transform.to_sensor(self._pasted(scattered))) ** 2
+        self._at_rest = np.abs(self._points.to_sensor(scattered)) ** 2
         self._light = lru_cache(maxsize=2)(
             partial(_light_of_sidebands, scattered, self._displacement, self.parameters)
         )
@@ -169,18 +168,16 @@ class BenchModel:
         if light is not self._object:
             self._illuminate(light)
 
-    def _scattered_light(
-        self, x: Array, y: Array, rng: np.random.Generator
-    ) -> tuple[Complex64, Float32Array]:
-        """Return the light amplitude of each pixel on the reed (n,), in √(electrons/s).
+    def _scattered_light(self, rng: np.random.Generator) -> tuple[Complex64, Float32Array]:
+        """Return the light amplitude of each point of the reed (n,), in √(electrons/s).
 
         The second is its root mean square over all speckle.
         """
-        optics, height_width = self.parameters.optics, x.shape
+        optics, points = self.parameters.optics, self._points
         light = optics.illumination
-        rough = speckle(height_width, rng)[self._lit]
+        rough = points.drawn([speckle(each.lit.shape, rng) for each in points.lattices])
         middle = 0.5 * optics.layout.reed_size_m[1]
-        r2 = (x[self._lit] - middle) ** 2 + y[self._lit] ** 2
+        r2 = (points.x_m - middle) ** 2 + points.y_m**2
         profile = np.exp(-r2 / light.object_waist_m**2)
         amplitude = rough * profile
         power = light.object_e_s * self._pixels / np.sum(np.abs(amplitude) ** 2)
@@ -191,16 +188,22 @@ class BenchModel:
     def _pixels(self) -> int:
         return int(np.prod(self.parameters.sensor.shape))
 
-    def _pasted(self, lit: Complex64) -> Complex64:
-        """Return the object plane (ny, nx) with values on the reed's pixels and 0 elsewhere."""
-        patch = np.zeros(self._lit.shape, dtype=np.complex64)
-        patch[self._lit] = lit
-        return self.region.paste(patch, self.parameters.sensor.shape)
+    @property
+    def region(self) -> Region:
+        """Return the region of the object image that holds the reed."""
+        return self._points.region
 
     def displacement_m(self, drive_hz: Fraction, drive_v: float, time_s: float = 0.0) -> Complex64:
-        """Return the complex displacement (height, width) of the reed along z, in m; 0 outside."""
-        patch = np.zeros(self._lit.shape, dtype=np.complex64)
-        patch[self._lit] = self._displacement(drive_hz, drive_v, self._moment_s(time_s))
+        """Return the complex displacement (height, width) of the reed along z, in m; 0 outside.
+
+        Raises
+        ------
+        ValueError
+            If points lie between pixels (see `Illumination.lattices`).
+        """
+        (lattice,) = self._points.lattices
+        patch = np.zeros(lattice.lit.shape, dtype=np.complex64)
+        patch[lattice.lit] = self._displacement(drive_hz, drive_v, self._moment_s(time_s))
         return patch
 
     def displacement_at_m(
@@ -338,7 +341,7 @@ class BenchModel:
         mean_e += np.float32(abs(object_gain) ** 2) * self._at_rest
         mean_e *= np.float32(power * duration_s)
         field *= np.complex64(power * object_gain)
-        on_sensor = self.transform.to_sensor(self._pasted(field)).real
+        on_sensor = self._points.to_sensor(field).real
         on_sensor *= 2 * self._lo
         mean_e += on_sensor
         return mean_e
@@ -360,7 +363,7 @@ class BenchModel:
         return mean_e
 
     def _integrated_field(self, segment: Segment) -> Complex64:
-        """Return ∫ E(t)·exp(−2πi·difference·t) dt over a segment, on the reed's pixels (n,)."""
+        """Return ∫ E(t)·exp(−2πi·difference·t) dt over a segment, at the reed's points (n,)."""
         state, clocks = segment.state, self.parameters.clocks
         total = np.zeros(len(self._object), dtype=np.complex64)
         moment_s = self._moment_s(segment.start_s)
@@ -395,7 +398,7 @@ def _displacement(
     drive_v: float,
     time_s: float,
 ) -> Complex64:
-    """Return the complex displacement of the reed's pixels (n,), in m."""
+    """Return the complex displacement of the reed's points (n,), in m."""
     environment, wavelength_m = parameters.environment, parameters.optics.layout.wavelength_m
     condition, hz = condition_at(environment, time_s), float(drive_hz)
     moved_m = _moved(parameters, motion, force, shapes, hz, drive_v, condition, 0.0)
@@ -453,7 +456,7 @@ def _light_of_sidebands(
     drive_v: float,
     time_s: float,
 ) -> list[tuple[int, Complex64]]:
-    """Return the sideband orders and their light on the reed's pixels (n,), √(electrons/s)."""
+    """Return the sideband orders and their light at the reed's points (n,), √(electrons/s)."""
     if drive_v == 0 or drive_hz == 0:
         return [(0, scattered)]
     layout, interference = parameters.optics.layout, parameters.optics.interference

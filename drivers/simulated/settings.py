@@ -407,6 +407,8 @@ def _as_drawn(
                     light.local_oscillator_e_s * simulation.faults.local_oscillator_factor
                 ),
                 object_e_s=light.object_e_s,
+                # A rough surface scatters everywhere, and not in the middles of pixels only.
+                lattices=2,
             ),
             interference=replace(
                 optics.interference,

@@ -35,6 +35,10 @@ class Illumination:
     reference_leak : float
         Power of the object light, relative to the whole, that is left on the sensor when its
         shutter is closed.
+    lattices : int
+        Lattices of points of the reed that scatter, of the pitch of the image: 1 has a point in the
+        middle of each pixel, 2 have them between. Of one lattice, images have no side lobes, and
+        the edge of a reed is jagged.
     """
 
     local_oscillator_e_s: float = quantity(80e3, "electrons/s", 1e2, 1e15, _HALF_FULL)
@@ -51,6 +55,7 @@ class Illumination:
     reference_leak: float = quantity(
         0.0, "", 0.0, 1.0, "light scattered around a shutter: 1e-4 to 1 %"
     )
+    lattices: int = 1
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,115 @@
+"""Points of a reed that scatter light to the sensor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holography.arrays import Array, Complex64Array
+from holography.fresnel import FresnelTransform
+from holography.region import Region
+from physics.optics import reed_axes_m, reed_region
+from physics.parameters.optics import Layout
+from physics.reed.geometry import Outline
+from physics.reed.surface import on_reed
+
+# Where the points of each lattice lie, in pixels of the image from their middle, along y and x. Two
+# lattices put light at all places that an image of this sensor can tell from those of pixels.
+_OFFSETS: dict[int, tuple[tuple[float, float], ...]] = {
+    1: ((0.0, 0.0),),
+    2: ((-0.25, -0.25), (0.25, 0.25)),
+}
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Points at one place in each pixel.
+
+    Attributes
+    ----------
+    lit : (height, width) bool
+        Pixels of the region whose point lies on the reed.
+    ramp : (ny, nx) complex64, optional
+        Phase on the sensor of points that lie beside the middles of pixels.
+    """
+
+    lit: NDArray[np.bool_]
+    ramp: Complex64Array | None
+
+
+@dataclass(frozen=True)
+class Scatterers:
+    """Points of the reed's image, in one or two lattices of its pitch.
+
+    Attributes
+    ----------
+    x_m, y_m : (n,) float
+        Coordinates on the reed; lattice by lattice, row by row.
+    transform : FresnelTransform
+    region : Region
+    lattices : tuple of _Lattice
+    """
+
+    x_m: Array
+    y_m: Array
+    transform: FresnelTransform
+    region: Region
+    lattices: tuple[_Lattice, ...]
+
+    @classmethod
+    def of(
+        cls, layout: Layout, transform: FresnelTransform, outline: Outline, lattices: int
+    ) -> "Scatterers":
+        """Set up the points of one or two lattices on a reed."""
+        region = reed_region(layout, transform)
+        y, x = np.meshgrid(*reed_axes_m(layout, region, transform), indexing="ij")
+        pitch_y, pitch_x = transform.object_pitch_m
+        made, places = [], []
+        for down, across in _OFFSETS[lattices]:
+            at = x + across * pitch_x, y + down * pitch_y
+            lit = on_reed(outline, *at)
+            made.append(_Lattice(lit, _ramp(transform.shape, (down, across))))
+            places.append([each[lit] for each in at])
+        x_m, y_m = (np.concatenate(each) for each in zip(*places, strict=True))
+        return cls(x_m, y_m, transform, region, tuple(made))
+
+    def drawn(self, draw: Sequence[Complex64Array]) -> Complex64Array:
+        """Return the values (n,) at the points, of one image (height, width) for each lattice."""
+        return np.concatenate([each[a.lit] for each, a in zip(draw, self.lattices, strict=True)])
+
+    def to_sensor(self, light: Complex64Array) -> Complex64Array:
+        """Return the wave (ny, nx) on the sensor of light (n,) at the points.
+
+        The phase that the distance of a point from the middle of its pixel adds is left out, as the
+        phases of rough points are random.
+        """
+        ends = np.cumsum([np.count_nonzero(each.lit) for each in self.lattices])
+        waves = []
+        for each, part in zip(self.lattices, np.split(light, ends[:-1]), strict=True):
+            patch = np.zeros(each.lit.shape, dtype=np.complex64)
+            patch[each.lit] = part
+            wave = self.transform.to_sensor(self.region.paste(patch, self.transform.shape))
+            if each.ramp is not None:
+                wave *= each.ramp
+            waves.append(wave)
+        total = waves[0]
+        for wave in waves[1:]:
+            total += wave
+        return total
+
+
+def _ramp(shape: tuple[int, int], offset: tuple[float, float]) -> Complex64Array | None:
+    """Return the phase on the sensor of points beside the middles of pixels; None if there is none.
+
+    The cross term of the Fresnel integral is ``exp(2πi x u/(λz))``, and a pixel of the image is
+    ``λz`` over the size of the sensor.
+    """
+    if not any(offset):
+        return None
+    rows, columns = (
+        np.exp(2j * np.pi * part * (np.arange(n) - n // 2) / n)
+        for n, part in zip(shape, offset, strict=True)
+    )
+    ramp: Complex64Array = np.multiply.outer(rows, columns).astype(np.complex64)
+    return ramp

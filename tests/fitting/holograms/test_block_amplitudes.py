@@ -551,14 +551,17 @@ def test_sidebands_of_one_vibration_are_bessel_functions_of_it(three_sidebands):
     assert np.abs(seen)[shown] / expected[shown] == pytest.approx(1, abs=0.1)
 
 
-def test_bad_holograms_of_other_sidebands_are_absent(three_sidebands, tmp_path):
+def test_bad_holograms_of_other_sidebands_are_absent(three_sidebands, tmp_path, monkeypatch):
     """A bad one of the first takes the others of that vibration with it."""
     path = with_verdicts(
         three_sidebands,
         tmp_path / "bad.h5",
         {(20, 0): "saturated", (26, 2): "lock", (30, 1): "dropped"},
     )
-    whole, found = read(three_sidebands), read(path)
+    whole = read(three_sidebands)
+    # Fewer holograms tell the place a little differently, and other blocks lie on the reed.
+    monkeypatch.setattr("fitting.holograms.block_amplitudes.reed_place", lambda *_: whole.place)
+    found = read(path)
     kept = [k for k in range(14, 45, 2) if k != 30]
     assert found.step_index.tolist() == kept
     lost = {0: 20, 2: 26}

@@ -46,12 +46,17 @@ _WITHIN_PIXEL = 6
 # Pixels on either side from which a pixel has light: all but 0.3 % along an axis, the side lobes
 # (sin πx/πx)² of a sensor without a window.
 _REACH = 30
+# Most steps of a search, and the decrease of the cost below which it ends. Chosen: an unknown that
+# is off by its standard error costs 1.
 _ITERATIONS, _LEAST_GAIN = 60, 1e-3
-# Precision with which place and width are held where they are.
+# Largest logarithm of a brightness, against overflow far from the solution.
+_MOST_LOG = 50.0
+# Precision with which place and width are held where they are: to a thousandth of their priors.
 _HELD = 1e6
 # Unknowns that are no coefficients of the brightness: along, across, turn, width, darkness.
-_PLACE, _WIDTH, _DARKNESS = slice(0, 3), 3, 4
+_PLACE, _DARKNESS = slice(0, 3), 4
 _UNKNOWNS = 5
+# Chosen: they decide how long the search takes, and not where it ends.
 _DAMPING = Damping(first=1e-3, after_gain=0.3, after_loss=4.0, constant=1e-9)
 
 
@@ -235,7 +240,7 @@ class _Pixels:
         x_m, y_m = ReedPlace(along, across, turn, np.zeros((3, 3))).on_reed(self.x_m, self.y_m)
         narrower = 1 - wider
         share, by_x, by_y = self.light.at(x_m, narrower * y_m)
-        bright = np.exp(np.clip(terms @ unknowns[_UNKNOWNS:], -50, 50))
+        bright = np.exp(np.clip(terms @ unknowns[_UNKNOWNS:], -_MOST_LOG, _MOST_LOG))
         reed, dark = bright * share, np.exp(unknowns[_DARKNESS])
         moved_x, moved_y = moves(x_m, y_m)
         by_place = by_x[:, None] * moved_x + narrower * by_y[:, None] * moved_y

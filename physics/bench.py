@@ -201,6 +201,11 @@ class BenchModel:
         ValueError
             If points lie between pixels (see `Illumination.lattices`).
         """
+        if self.parameters.optics.illumination.lattices != 1:
+            raise ValueError(
+                "BenchModel: points scatter between pixels, and pixels have no displacement of "
+                "their own; ask for displacement_at_m"
+            )
         (lattice,) = self._points.lattices
         patch = np.zeros(lattice.lit.shape, dtype=np.complex64)
         patch[lattice.lit] = self._displacement(drive_hz, drive_v, self._moment_s(time_s))

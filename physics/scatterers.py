@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from physics.reed.surface import on_reed
 
 # Where the points of each lattice lie, in pixels of the image from their middle, along y and x. Two
 # lattices put light at all places that an image of this sensor can tell from those of pixels.
-_OFFSETS: dict[int, tuple[tuple[float, float], ...]] = {
+_OFFSETS: dict[Literal[1, 2], tuple[tuple[float, float], ...]] = {
     1: ((0.0, 0.0),),
     2: ((-0.25, -0.25), (0.25, 0.25)),
 }
@@ -31,7 +32,7 @@ class _Lattice:
     lit : (height, width) bool
         Pixels of the region whose point lies on the reed.
     ramp : (ny, nx) complex64, optional
-        Phase on the sensor of points that lie beside the middles of pixels.
+        Phase on the sensor of points that lie off the middles of pixels.
     """
 
     lit: NDArray[np.bool_]
@@ -59,7 +60,11 @@ class Scatterers:
 
     @classmethod
     def of(
-        cls, layout: Layout, transform: FresnelTransform, outline: Outline, lattices: int
+        cls,
+        layout: Layout,
+        transform: FresnelTransform,
+        outline: Outline,
+        lattices: Literal[1, 2],
     ) -> "Scatterers":
         """Set up the points of one or two lattices on a reed."""
         region = reed_region(layout, transform)
@@ -100,7 +105,7 @@ class Scatterers:
 
 
 def _ramp(shape: tuple[int, int], offset: tuple[float, float]) -> Complex64Array | None:
-    """Return the phase on the sensor of points beside the middles of pixels; None if there is none.
+    """Return the phase on the sensor of points off the middles of pixels; None if it is 0.
 
     The cross term of the Fresnel integral is ``exp(2πi x u/(λz))``, and a pixel of the image is
     ``λz`` over the size of the sensor.

@@ -22,7 +22,8 @@ _DEGREE = 5
 # Holograms between two nodes, at least, and most nodes. Chosen: three times the width of a
 # resonance in steps of 25 cents, so that the drift cannot follow one; the walk within is noise.
 _SPACING, _MOST_NODES = 12, 17
-# What the magnitude of an object field may be off by if no hologram tells it, in nepers.
+# What the magnitude of an object field may be off by if no hologram tells it, in nepers. Chosen: a
+# number so large that one hologram with fringes is worth more.
 _UNKNOWN = 1.0
 # Step of the walk of each coefficient from hologram to hologram, in nepers and rad: start, and
 # limits. Below the least, 10,000 holograms are needed for a change of 1 %; above the most, two

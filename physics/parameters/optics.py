@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from physics.parameters.quantity import quantity
 from physics.reed.geometry import ReedGeometry
@@ -35,7 +36,7 @@ class Illumination:
     reference_leak : float
         Power of the object light, relative to the whole, that is left on the sensor when its
         shutter is closed.
-    lattices : int
+    lattices : {1, 2}
         Lattices of points of the reed that scatter, of the pitch of the image: 1 has a point in the
         middle of each pixel, 2 have them between. Of one lattice, images have no side lobes, and
         the edge of a reed is jagged.
@@ -55,7 +56,7 @@ class Illumination:
     reference_leak: float = quantity(
         0.0, "", 0.0, 1.0, "light scattered around a shutter: 1e-4 to 1 %"
     )
-    lattices: int = 1
+    lattices: Literal[1, 2] = 1
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from physics.air import pressure_shape
 from physics.bench import (
     BenchModel,
     BenchState,
+    Scene,
     Segment,
 )
 from physics.drive import resonance_gain, tweeter_pressure_pa
@@ -100,6 +101,25 @@ def test_the_light_of_the_reed_is_as_bright_as_its_settings_say(
     )
     expected = per_pixel * np.prod(sensor.shape) / sensor.gain_e_dn**2
     assert np.sum(np.abs(at_rest.astype(complex)) ** 2) == pytest.approx(expected, rel=1e-3)
+
+
+def test_points_between_pixels_have_no_displacement_of_a_pixel(
+    quiet_settings, quiet_bench, coarse_reed
+):
+    """They are as bright as those of pixels, on the whole sensor."""
+    light = replace(quiet_settings.optics.illumination, lattices=2)
+    bench = BenchModel(
+        with_part(quiet_settings, "optics", illumination=light),
+        PlainMotion(coarse_reed),
+        np.random.default_rng(1),
+    )
+    segment = Segment(0.0, EXPOSURE_S, BenchState(Fraction(1), DRIVE_HZ, 0.0))
+    rng, scene = np.random.default_rng(2), Scene(local_oscillator=False)
+    frames = [one.frame([segment], rng, scene=scene).mean() for one in (bench, quiet_bench)]
+    assert frames[0] == pytest.approx(frames[1], rel=0.05)
+    assert frames[1] > 0
+    with pytest.raises(ValueError, match="displacement_at_m"):
+        bench.displacement_m(DRIVE_HZ, 1.0)
 
 
 def test_without_a_local_oscillator_the_camera_sees_speckle(quiet_settings, coarse_reed):

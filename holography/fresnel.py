@@ -12,6 +12,7 @@ import numpy.typing as npt
 import scipy.fft
 
 Complex64Array = npt.NDArray[np.complex64]
+CyclesArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -226,13 +227,27 @@ class FresnelTransform:
 
     def _chirps(self, sign: int) -> tuple[Complex64Array, Complex64Array]:
         """Return the sensor chirp, which includes all constant factors, and the object chirp."""
+        sensor, image = self.cycles()
+        return _outer_phasor(sensor, sign), _outer_phasor(image, sign)
+
+    def cycles(self) -> tuple[list[CyclesArray], list[CyclesArray]]:
+        """Return the phases of the chirps of `to_object`, in cycles.
+
+        A chirp is a product of one along its rows and one along its columns. Those of `to_sensor`
+        have the opposite sign.
+
+        Returns
+        -------
+        sensor, image : list of [(ny,), (nx,)] float64
+            The constant factors are in the first of the sensor.
+        """
         # Phase in cycles of exp(ikz)/i, the conjugate of the Fresnel integral's factor.
         constant = self.distance_m / self.wavelength_m - 0.25
         sensor = self._cycles((self.pixel_m, self.pixel_m))
         sensor[0] += constant % 1.0
-        return _outer_phasor(sensor, sign), _outer_phasor(self._cycles(self.object_pitch_m), sign)
+        return sensor, self._cycles(self.object_pitch_m)
 
-    def _cycles(self, pitch_m: tuple[float, float]) -> list[npt.NDArray[np.float64]]:
+    def _cycles(self, pitch_m: tuple[float, float]) -> list[CyclesArray]:
         """Return the phase of a plane's chirp along its rows and along its columns, in cycles.
 
         A centred FFT has the kernel ``exp(±2πi (m - c)(n - c)/N)`` with ``c = N // 2``. Each plane
@@ -249,7 +264,7 @@ class FresnelTransform:
         return cycles
 
 
-def _outer_phasor(cycles: list[npt.NDArray[np.float64]], sign: int) -> Complex64Array:
+def _outer_phasor(cycles: list[CyclesArray], sign: int) -> Complex64Array:
     along_rows, along_columns = (np.exp(2j * np.pi * sign * cycle) for cycle in cycles)
     phasor: Complex64Array = np.multiply.outer(along_rows, along_columns).astype(np.complex64)
     phasor.flags.writeable = False

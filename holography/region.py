@@ -63,7 +63,7 @@ class Region:
         ValueError
             If the region leaves the image.
         """
-        self._require_inside(image.shape)
+        self.require_inside(image.shape)
         view: npt.NDArray[Scalar] = image[(..., *self.slices)]
         return view
 
@@ -91,12 +91,13 @@ class Region:
                 f"{self}: the field to paste has shape {field.shape}; "
                 f"give one whose last axes are {(self.height, self.width)}"
             )
-        self._require_inside(shape)
+        self.require_inside(shape)
         image = np.zeros((*field.shape[:-2], *shape), dtype=field.dtype)
         image[(..., *self.slices)] = field
         return image
 
-    def _require_inside(self, shape: tuple[Any, ...]) -> None:
+    def require_inside(self, shape: tuple[Any, ...]) -> None:
+        """Raise a ValueError if the region leaves an image of a shape (..., ny, nx)."""
         rows, columns = shape[-2:]
         if self.row + self.height > rows or self.column + self.width > columns:
             raise ValueError(

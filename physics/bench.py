@@ -131,7 +131,8 @@ class BenchModel:
         scattered, self._envelope = self._scattered_light(rng)
         # Their cost is spared where nothing changes smoothly.
         self._smooth = smooth_shapes(points.x_m, points.y_m) if changes.field_change else None
-        self._lo = local_oscillator_profile(light, sensor)
+        oscillator = local_oscillator_profile(light, sensor)
+        self._lo_e_s, self._twice_lo = oscillator * oscillator, 2 * oscillator
         self._vignette = vignette_profile(light, sensor)
         self._lamp = lamp_profile(light, sensor)
         self._maps = pixel_maps(sensor, np.random.default_rng(_SENSOR_SEED))
@@ -342,13 +343,11 @@ class BenchModel:
         field = np.zeros(len(self._object), dtype=np.complex64)
         for segment in lit:
             field += self._integrated_field(segment)
-        mean_e = self._lo * self._lo
-        mean_e += np.float32(abs(object_gain) ** 2) * self._at_rest
+        mean_e = np.float32(abs(object_gain) ** 2) * self._at_rest
+        mean_e += self._lo_e_s
         mean_e *= np.float32(power * duration_s)
         field *= np.complex64(power * object_gain)
-        on_sensor = self._points.to_sensor(field).real
-        on_sensor *= 2 * self._lo
-        mean_e += on_sensor
+        mean_e += self._points.to_sensor(field).real * self._twice_lo
         return mean_e
 
     def _plain_light(self, scene: Scene, duration_s: float, exposure_s: float) -> Float32Array:
@@ -362,9 +361,9 @@ class BenchModel:
         if self._lamp is not None:
             mean_e *= self._lamp
         if scene.local_oscillator:
-            mean_e += np.float32(duration_s) * self._lo * self._lo
+            mean_e += np.float32(duration_s) * self._lo_e_s
         if scene.object_beam:
-            mean_e += np.float32(duration_s) * self._at_rest.astype(np.float32)
+            mean_e += np.float32(duration_s) * self._at_rest
         return mean_e
 
     def _integrated_field(self, segment: Segment) -> Complex64:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from holography.arrays import Array, Complex64Array
 from holography.fresnel import FresnelTransform
+from holography.fresnel_region import RegionTransform
 from holography.region import Region
 from physics.optics import reed_axes_m, reed_region
 from physics.parameters.optics import Layout
@@ -31,12 +32,12 @@ class _Lattice:
     ----------
     lit : (height, width) bool
         Pixels of the region whose point lies on the reed.
-    ramp : (ny, nx) complex64, optional
-        Phase on the sensor of points that lie off the middles of pixels.
+    transform : RegionTransform
+        From these points to the sensor.
     """
 
     lit: NDArray[np.bool_]
-    ramp: Complex64Array | None
+    transform: RegionTransform
 
 
 @dataclass(frozen=True)
@@ -47,14 +48,12 @@ class Scatterers:
     ----------
     x_m, y_m : (n,) float
         Coordinates on the reed; lattice by lattice, row by row.
-    transform : FresnelTransform
     region : Region
     lattices : tuple of _Lattice
     """
 
     x_m: Array
     y_m: Array
-    transform: FresnelTransform
     region: Region
     lattices: tuple[_Lattice, ...]
 
@@ -74,10 +73,10 @@ class Scatterers:
         for down, across in _OFFSETS[lattices]:
             at = x + across * pitch_x, y + down * pitch_y
             lit = on_reed(outline, *at)
-            made.append(_Lattice(lit, _ramp(transform.shape, (down, across))))
+            made.append(_Lattice(lit, RegionTransform(transform, region, (down, across))))
             places.append([each[lit] for each in at])
         x_m, y_m = (np.concatenate(each) for each in zip(*places, strict=True))
-        return cls(x_m, y_m, transform, region, tuple(made))
+        return cls(x_m, y_m, region, tuple(made))
 
     def drawn(self, draw: Sequence[Complex64Array]) -> Complex64Array:
         """Return the values (n,) at the points, of one image (height, width) for each lattice."""
@@ -94,27 +93,8 @@ class Scatterers:
         for each, part in zip(self.lattices, np.split(light, ends[:-1]), strict=True):
             patch = np.zeros(each.lit.shape, dtype=np.complex64)
             patch[each.lit] = part
-            wave = self.transform.to_sensor(self.region.paste(patch, self.transform.shape))
-            if each.ramp is not None:
-                wave *= each.ramp
-            waves.append(wave)
+            waves.append(each.transform.to_sensor(patch))
         total = waves[0]
         for wave in waves[1:]:
             total += wave
         return total
-
-
-def _ramp(shape: tuple[int, int], offset: tuple[float, float]) -> Complex64Array | None:
-    """Return the phase on the sensor of points off the middles of pixels; None if it is 0.
-
-    The cross term of the Fresnel integral is ``exp(2πi x u/(λz))``, and a pixel of the image is
-    ``λz`` over the size of the sensor.
-    """
-    if not any(offset):
-        return None
-    rows, columns = (
-        np.exp(2j * np.pi * part * (np.arange(n) - n // 2) / n)
-        for n, part in zip(shape, offset, strict=True)
-    )
-    ramp: Complex64Array = np.multiply.outer(rows, columns).astype(np.complex64)
-    return ramp

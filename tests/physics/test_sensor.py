@@ -99,3 +99,19 @@ def test_noise_is_white_and_independent_from_frame_to_frame():
 def test_the_same_generator_gives_the_same_bits():
     np.testing.assert_array_equal(exposure(SENSOR, 6400.0), exposure(SENSOR, 6400.0))
     assert np.any(exposure(SENSOR, 6400.0) != exposure(SENSOR, 6400.0, seed=99))
+
+
+def test_noise_is_normal():
+    """Its moments up to the sixth, and nothing that repeats between pixels, rows or frames."""
+    sensor = replace(SENSOR, gain_e_dn=0.25, offset_dn=0.0, bits=16, read_noise_e=0.0)
+    # 10 000 electrons, of which the shot noise is 100.
+    frames = [exposure(sensor, 1e4, seed, side=1024).astype(float) for seed in (1, 2)]
+    noise, other = ((frame * sensor.gain_e_dn - 1e4) / 100 for frame in frames)
+    count = noise.size
+    for power, expected, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96), (6, 15, 10170)):
+        found = np.mean(noise**power)
+        assert abs(found - expected) < 4 * np.sqrt(variance / count)
+    # Rows are read out in bands.
+    beside = (noise[:, :-1], noise[:, 1:]), (noise[:-1], noise[1:]), (noise[:-32], noise[32:])
+    for one, another in (*beside, (noise, other)):
+        assert abs(np.mean(one * another)) < 4 / np.sqrt(one.size)

@@ -44,6 +44,9 @@ class Resonance:
         Its standard error (joint fit).
     nm_per_v : float, optional
         `amplitude_nm` per peak volt of the drive.
+    nm_per_v_error : float, optional
+        Its standard error: that of the amplitude, and what the drive scatters from hologram to
+        hologram (joint fit).
     largest_m : (float, float), optional
         Where that is: distances from the tip and from the axis (joint fit).
     name_probability : float, optional
@@ -66,6 +69,7 @@ class Resonance:
     amplitude_nm: float | None = None
     amplitude_error_nm: float | None = None
     nm_per_v: float | None = None
+    nm_per_v_error: float | None = None
     largest_m: tuple[float, float] | None = None
     name_probability: float | None = None
     candidates: tuple[tuple[str, float], ...] = ()

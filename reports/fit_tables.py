@@ -62,8 +62,9 @@ _RESONANCE_COLUMNS: Final = (
     Column("amplitude_nm", "amplitude", "nm", _amplitude,
            "displacement at resonance where the mode moves most, from rest to the largest "
            "deflection (half of peak to peak), ± standard error"),
-    Column("nm_per_v", "per volt", "nm/V", ".1f",
-           "that displacement, divided by the peak volts of the drive"),
+    Column("nm_per_v", "per volt", "nm/V", _amplitude,
+           "that displacement, divided by the peak volts of the drive, ± standard error, with what "
+           "the drive scatters from step to step"),
     Column("residual_cents", "residual", "cents",
            lambda value: value if isinstance(value, str) else f"{value:+.1f}",
            "measured less fitted frequency"),
@@ -92,7 +93,7 @@ def resonances_table(sweep: SweepFit, residual_cents: Mapping[str, float] | None
             found.similarity,
             found.step_index,
             None if found.amplitude_nm is None else (found.amplitude_nm, found.amplitude_error_nm),
-            found.nm_per_v,
+            None if found.nm_per_v is None else (found.nm_per_v, found.nm_per_v_error),
             residuals.get(name, "not fitted"),
         )
         for name, found in sweep.measured.items()

@@ -58,6 +58,9 @@ class ModeAmplitude:
         Point of the largest displacement.
     volts : float
         Peak volts of the drive at that frequency.
+    scatter : float
+        Standard deviation of the drive around one that is smooth in frequency, in nepers: of what
+        `nm` is measured with, over what the volts give on average.
     """
 
     nm: float
@@ -65,6 +68,17 @@ class ModeAmplitude:
     x_m: float
     y_m: float
     volts: float
+    scatter: float = 0.0
+
+    @property
+    def nm_per_v(self) -> float:
+        """Amplitude per peak volt of the drive."""
+        return self.nm / self.volts
+
+    @property
+    def nm_per_v_error(self) -> float:
+        """Its standard error, as another sweep with the same volts would have it."""
+        return self.nm_per_v * float(np.hypot(self.error_nm / self.nm, self.scatter))
 
 
 def peak_amplitudes(fit: JointFit, points: VampPoints, wavelength_m: float) -> PeakAmplitudes:
@@ -142,12 +156,15 @@ def mode_amplitudes(
         own += by_place @ fit.block_amplitudes.place.covariance @ by_place
         nm, error_nm = 1e9 * displacement_m([rad, np.sqrt(own + rad**2 * shared)], wavelength_m)
         log_volts = np.interp(np.log(modal.hz[a]), log_hz, np.log(fit.block_amplitudes.volts))
+        # The drive at the resonance is interpolated between two holograms, and so is its scatter.
+        weights = [np.interp(np.log(modal.hz[a]), log_hz, one) for one in np.eye(len(log_hz))]
         answer[name] = ModeAmplitude(
             nm=float(nm),
             error_nm=float(error_nm),
             x_m=float(points.x_m[top]),
             y_m=float(points.y_m[top]),
             volts=float(np.exp(log_volts)),
+            scatter=modal.state.gain * float(np.linalg.norm(weights)),
         )
     return answer
 

@@ -150,7 +150,8 @@ def _with_amplitudes(
             resonance,
             amplitude_nm=found[name].nm,
             amplitude_error_nm=found[name].error_nm,
-            nm_per_v=found[name].nm / found[name].volts,
+            nm_per_v=found[name].nm_per_v,
+            nm_per_v_error=found[name].nm_per_v_error,
             largest_m=(found[name].x_m, found[name].y_m),
         )
         for name, resonance in resonances.items()

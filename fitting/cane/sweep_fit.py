@@ -160,6 +160,7 @@ def _to_json(sweep: SweepFit, name: str) -> dict[str, Any]:
         "amplitude_nm": found.amplitude_nm,
         "amplitude_error_nm": found.amplitude_error_nm,
         "nm_per_v": found.nm_per_v,
+        "nm_per_v_error": found.nm_per_v_error,
     }
     if sweep.joint is not None:
         keys = ("response_hz", "loss_factor", "loss_error", "participation", "similarity")

@@ -87,9 +87,9 @@ def comparisons(
         if mode.get("loss_factor"):
             percent = 100 * math.log(mode["loss_factor"] / true["loss_factor"])
             found.append(Comparison(f"loss {name}", sweep, percent, 100 * mode["loss_error"]))
-        if mode.get("amplitude_error_nm") and "nm_per_volt" in true:
+        if mode.get("nm_per_v_error") and "nm_per_volt" in true:
             percent = 100 * math.log(mode["nm_per_v"] / true["nm_per_volt"])
-            error = 100 * mode["amplitude_error_nm"] / mode["amplitude_nm"]
+            error = 100 * mode["nm_per_v_error"] / mode["nm_per_v"]
             found.append(Comparison(f"nm {name}", sweep, percent, error))
     for name, stated in (fit["components"] or {}).items():
         true_value = truth["components_over_rho"][name]

@@ -34,7 +34,7 @@ def value(value, error):
 
 def mode(hz):
     found = {"hz": hz, "error_cents": 1.0, "loss_factor": 0.022, "loss_error": 0.05}
-    return found | {"nm_per_v": 210.0, "amplitude_nm": 420.0, "amplitude_error_nm": 8.4}
+    return found | {"nm_per_v": 210.0, "nm_per_v_error": 4.2}
 
 
 FIT = {

@@ -49,6 +49,19 @@ def planted(amplitude_rad, spread_rad=0.01, shared=0.0):
     )
 
 
+def modal_of(hz, amplitude_rad, shift=0.0, variance=0.0):
+    """Modes of a fit with one mode, whose drive scatters by 1 %."""
+    return SimpleNamespace(
+        hz=np.array([hz]),
+        common_mode_shift=np.full((2, 1), shift),
+        magnitude_error=np.zeros(2),
+        state=SimpleNamespace(gain=0.01),
+        resonant=SimpleNamespace(
+            amplitude_rad=amplitude_rad, covariance=variance * np.eye(2)[None]
+        ),
+    )
+
+
 POINTS = VampPoints(
     np.array([1e-3, 0.0, 2e-3]),
     np.array([0.0, 5e-3, 0.0]),
@@ -104,16 +117,24 @@ def test_the_error_of_the_place_adds_to_the_error():
     assert peaks.error_nm == pytest.approx(np.linalg.norm(parts) * peaks.nm, rel=1e-6)
     fit.block_amplitudes.drive_hz, fit.block_amplitudes.volts = np.array([2e3]), np.array([2.0])
     fit.names = ("F1",)
-    fit.modal = SimpleNamespace(
-        hz=np.array([2e3]),
-        common_mode_shift=np.zeros((1, 1)),
-        magnitude_error=np.zeros(1),
-        resonant=SimpleNamespace(
-            amplitude_rad=np.array([[3.0, 0.0]]), covariance=np.zeros((1, 2, 2))
-        ),
-    )
+    fit.modal = modal_of(2e3, np.array([[3.0, 0.0]]))
     mode = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
     assert mode.error_nm == pytest.approx(np.linalg.norm(parts) * mode.nm, rel=1e-6)
+
+
+@pytest.mark.parametrize(("hz", "share"), [(2000.0, 1.0), (np.sqrt(2000 * 2100), 0.5**0.5)])
+def test_the_drive_s_scatter_adds_to_the_error_per_volt(hz, share):
+    """In the middle between two holograms, the scatter of both is averaged."""
+    fit = planted(np.array([[3.0, 0.0], [3.0, 0.0]]), 1e-6)
+    fit.block_amplitudes.drive_hz = np.array([2000.0, 2100.0])
+    fit.block_amplitudes.volts = np.array([2.0, 2.0])
+    fit.names = ("F1",)
+    fit.modal = modal_of(hz, np.array([[3.0, 0.0]]))
+    mode = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
+    assert mode.nm_per_v == pytest.approx(3 * NM_PER_RAD)
+    error = np.hypot(mode.error_nm / mode.nm, share * fit.modal.state.gain)
+    assert mode.nm_per_v_error == pytest.approx(error * mode.nm_per_v)
+    assert error > 5 * mode.error_nm / mode.nm * share
 
 
 def test_slopes_are_those_of_the_functions(reed, blocks):
@@ -179,14 +200,7 @@ def test_a_turn_that_the_modal_fit_adds_to_all_displacements_changes_no_size(tur
         drive_hz=np.array([2000.0]), volts=np.array([2.0]), place=nominal_place()
     )
     fit.names = ("F1",)
-    fit.modal = SimpleNamespace(
-        hz=np.array([2000.0]),
-        common_mode_shift=np.array([[turn_rad]]),
-        magnitude_error=np.zeros(1),
-        resonant=SimpleNamespace(
-            amplitude_rad=np.array([[stretched, 0.0]]), covariance=1e-4 * np.eye(2)[None]
-        ),
-    )
+    fit.modal = modal_of(2000.0, np.array([[stretched, 0.0]]), turn_rad, 1e-4)
     found = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
     assert found.nm == pytest.approx(6 * NM_PER_RAD)
     assert (found.x_m, found.y_m, found.volts) == (0.0, 5e-3, 2.0)

@@ -23,6 +23,7 @@ from physics.optics import (
     kept_orders,
     lamp_profile,
     local_oscillator_profile,
+    log_laser_power,
     sidebands,
     speckle,
     vignette_profile,
@@ -328,10 +329,9 @@ class BenchModel:
 
     def _power(self, segments: Sequence[Segment], rng: np.random.Generator) -> float:
         """Return the power of the laser relative to that at the start of the campaign."""
-        changes, faded_h = self.parameters.optics.interference, 0.0
-        if segments:
-            faded_h = segments[0].start_s / 3600
-        power = max(1 - changes.fade_per_h * faded_h, 0.0)
+        changes = self.parameters.optics.interference
+        start_s = np.array(segments[0].start_s if segments else 0.0)
+        power = float(np.exp(log_laser_power(changes, start_s)))
         if changes.power_noise:
             power *= max(1 + changes.power_noise * rng.standard_normal(), 0.0)
         return power

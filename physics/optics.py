@@ -143,6 +143,15 @@ def decorrelated(interference: Interference, phi_rad: Array) -> Float32Array:
     return np.maximum(kept, 0.0).astype(np.float32)
 
 
+def log_laser_power(changes: Interference, time_s: Array) -> Array:
+    """Return the log of the laser's power over that at the start, at times (any shape) since then.
+
+    Its mean only: what scatters from frame to frame is left out.
+    """
+    fallen: Array = -changes.fade_per_h * time_s / 3600
+    return fallen
+
+
 def beat_integral(offset_hz: float, start_s: float, end_s: float) -> complex:
     """Return ``∫ exp(2πi·offset·t) dt`` over a part of an exposure, in s."""
     middle, length = 0.5 * (start_s + end_s), end_s - start_s

@@ -25,6 +25,7 @@ from diagnosis.readings.reed_at_rest import RestHolograms
 from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
 from holography.arrays import Array, ComplexArray
 from physics.mechanics import ReedSolver
+from physics.optics import log_laser_power
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
@@ -62,8 +63,9 @@ _LEAST_TEMPLATE = (1e-3, 1e-5)
 def log_light(time_s: Array, beams: Interference) -> Array:
     """Return the log of the fringes' amplitude at times (any shape) since the campaign began."""
     after = time_s > 3600 * beams.hop_after_h
-    lost: Array = -beams.fade_per_h * time_s / 3600 + np.log1p(-min(beams.hop, 0.95)) * after
-    return lost
+    hop: Array = np.log1p(-min(beams.hop, 0.95)) * after
+    # Both beams are of the laser's power, and fringes are the product of both amplitudes.
+    return log_laser_power(beams, time_s) + hop
 
 
 def brightness_group(
@@ -274,17 +276,17 @@ def noise_group(sweeps: Sequence[SweepReading], dark_dn: float) -> ObservableGro
             fringes.append(float(np.mean(sweep.fringe_dn2[piece])))
             places.append(Coordinates("noise next to the image", time=f"{sweep.name} {number + 1}"))
             columns.append({f"sweep {sweep.name}": _NOISE_SWEEP})
-    usual, hours = float(np.mean(values)), np.array(times) / 3600
+    usual, time_s = float(np.mean(values)), np.array(times)
     beside = np.array(fringes) / np.exp(min(values))
     # A hologram has the noise of four frames.
     shot_share = float(np.clip(1 - 4 * dark_dn**2 / np.exp(usual), 0.0, 1.0))
 
     def predict(parameters: BenchParameters) -> Array:
-        shot = usual - shot_share * parameters.optics.interference.fade_per_h * hours
+        shot = usual + shot_share * log_laser_power(parameters.optics.interference, time_s)
         noise: Array = shot + np.log1p(parameters.sensor.pattern**2 * beside)
         return noise
 
-    power = shot_share * _POWER_H * walk_columns(hours)
+    power = shot_share * _POWER_H * walk_columns(time_s / 3600)
     errors = Errors(
         np.diag(variance) + _NOISE**2,
         (

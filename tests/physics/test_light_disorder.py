@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from diagnosis.observables.light import log_light
 from physics.bench import BenchModel, BenchState, Scene, Segment
 from physics.motion import PlainMotion
 from physics.object_light import renewed, smooth_shapes, smoothly_changed
@@ -116,6 +117,19 @@ def test_the_power_of_the_laser_scatters_from_frame_to_frame(bench_with):
     assert np.std(light) / np.mean(light) == pytest.approx(0.002, rel=0.25)
     still = [pixels(bench_with().frame(exposure(), rng, scene=LO_ONLY)).mean() for _ in range(2)]
     assert still[0] == pytest.approx(still[1], rel=1e-6)
+
+
+def test_light_fades_as_the_diagnosis_says(bench_with):
+    """After three hours by 0.6 nepers; in a bench in which 1 − 0.2/h were left it would be 0.92."""
+    bench, late = bench_with("optics.interference", fade_per_h=0.2), round(3 * 3600 / FRAME_S)
+    rng = np.random.default_rng(8)
+    offset_dn = bench.parameters.sensor.offset_dn
+    first, last = (
+        pixels(bench.frame(exposure(n), rng, scene=LO_ONLY)).mean() - offset_dn for n in (0, late)
+    )
+    expected = log_light(np.array(late * FRAME_S), bench.parameters.optics.interference)
+    assert expected == pytest.approx(-0.6)
+    assert np.log(last / first) == pytest.approx(float(expected), abs=2e-3)
 
 
 def test_a_frame_keeps_a_part_of_the_light_of_the_one_before(bench_with):

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
+import scipy.signal
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
@@ -181,8 +182,11 @@ class _ReedLight:
         inside = np.clip((half_m - np.abs(y)) / spacing_m[1] + 0.5, 0.0, 1.0)
         inside[x < 0] = 0.0
         kernel = _light_of_pixel()
+        beyond = len(kernel) // 2
         for axis in (0, 1):
-            inside = scipy.ndimage.convolve1d(inside, kernel, axis=axis, mode="nearest")
+            wider = np.pad(inside, [(beyond,) * 2 if a == axis else (0, 0) for a in (0, 1)], "edge")
+            along = kernel[:, None] if axis == 0 else kernel[None]
+            inside = scipy.signal.oaconvolve(wider, along, mode="valid", axes=axis)
         slopes = np.gradient(inside, *spacing_m)
         return cls(np.array([x[0], y[0]]), spacing_m, np.stack([inside, *slopes]))
 

@@ -7,7 +7,7 @@ same in all holograms: its parts of low degree are a random walk in the order of
 nodes and linear in between. The step of the walk is found from the sweep itself.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -136,6 +136,11 @@ def field_drift(common_mode: CommonModeError, recording_rank: IndexArray) -> Fie
     apart = np.abs(recording_rank[:, None] / spacing - np.arange(intervals + 1))
     drifting = of_low_degree(_DEGREE) if constant else np.zeros(0, np.intp)
     return FieldDrift(np.maximum(0, 1 - apart), drifting, constant, spacing)
+
+
+def steady(drift: FieldDrift) -> FieldDrift:
+    """Return the same without any drift: parameters are those that all holograms share."""
+    return replace(drift, drifting=np.zeros(0, np.intp))
 
 
 def shared_error(common_mode: CommonModeError, drift: FieldDrift, walk: float) -> SharedError:

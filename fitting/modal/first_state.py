@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 
 from fitting.holograms.solved_sweep import Displacements
-from fitting.modal.field_drift import FIRST_WALK, FieldDrift
+from fitting.modal.field_drift import FIRST_WALK, FieldDrift, steady
 from fitting.modal.losses import expected_shared
 from fitting.modal.model import LOSS, TAIL_TERMS, Model, Stage, State, stage_prior, terms
 from fitting.modal.noise import Noise, data_of
@@ -90,7 +90,9 @@ def at_level(model: Model, state: State) -> Model:
 def staged(
     model: Model, displacements: Displacements, noise: Noise, drift: FieldDrift, centre_hz: Array
 ) -> tuple[Model, State]:
-    """Fit with priors that widen from stage to stage.
+    """Fit with priors that widen from stage to stage, as if the light were steady.
+
+    Nothing of its drift is known before the modes are (decision 0090).
 
     Parameters
     ----------
@@ -106,14 +108,17 @@ def staged(
     Model, State
         The model expects the drive at the level of the state.
     """
-    state, scale = first_state(model, displacements, expected_shared(drift))
+    light = steady(drift)
+    state, scale = first_state(model, displacements, expected_shared(light))
     model = at_level(model, state)
     for stage in _STAGES:
         prior = stage_prior(model, stage, centre_hz, scale)
-        given = Given(displacements, drift, noise, prior)
+        given = Given(displacements, light, noise, prior)
         shared = shared_at(model, given, state, FIRST_WALK)
         deviation = noise.deviation(stage.discrepancy)
         data = data_of(displacements.amplitude_rad, shared, noise, deviation)
         state = minimise_cost(model, data, prior, fixed(prior, state), stage.iterations)
         scale = participation_scale(model, state)
-    return model, state
+    drifting = expected_shared(drift)
+    drifting[: light.parameters] = state.shared
+    return model, replace(state, shared=drifting)

@@ -30,7 +30,12 @@ from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
 from fitting.modal.drive.prior import HELD_LEVEL, DriveForm, quiet_ripple
 from fitting.modal.expected.prior import Prior
-from fitting.modal.field_drift import covariance_by_other_changes, magnitude_error
+from fitting.modal.field_drift import (
+    FieldDrift,
+    covariance_by_other_changes,
+    magnitude_error,
+    steady,
+)
 from fitting.modal.first_state import FIRST_SCATTER, at_level, participation_scale, staged
 from fitting.modal.losses import connected_by, expected_shared, forms_of, shared_drift
 from fitting.modal.modal_fit import ModalFit
@@ -90,7 +95,7 @@ def fit_modes(
     ModalFit
     """
     model, centre_hz = _model(basis, drive_hz, volts, start_hz)
-    model, given, state = _begun(model, displacements, centre_hz)
+    model, given, state = _begun(model, displacements, shared_drift(displacements), centre_hz)
     end, given = in_rounds(model, given, state, FIRST_SCATTER, ROUNDS)
     optima = searched(model, given, end.state, end.next_scatter, centre_hz).optima
     return _finish(displacements, basis.names, optima)
@@ -106,7 +111,8 @@ def fit_roughly(
 ) -> ModalFit:
     """Fit the joint model of a sweep, but for the ripple and the lines of the drive.
 
-    It predicts displacements well enough for a better fit of these.
+    It predicts displacements well enough for a better fit of these, and takes the light as steady
+    (decision 0090).
 
     Parameters
     ----------
@@ -120,11 +126,12 @@ def fit_roughly(
     ModalFit
     """
     model, centre_hz = _model(basis, drive_hz, volts, start_hz)
+    drift = steady(shared_drift(displacements))
     if known is None:
-        model, given, state = _begun(model, displacements, centre_hz)
+        model, given, state = _begun(model, displacements, drift, centre_hz)
         rounds, scatter = ROUNDS, FIRST_SCATTER
     else:
-        model, given, state = _again(model, known, displacements, centre_hz)
+        model, given, state = _again(model, known, displacements, drift, centre_hz)
         rounds, scatter = _AGAIN, _scatter_of(known)
     end, _ = in_rounds(model, given, state, scatter, rounds, _ROUGH_STEPS)
     return _finish(displacements, basis.names, [Optimum.of(end)])
@@ -162,7 +169,8 @@ def fit_modes_with_known_drive(
     for form in known.drive_forms:
         bare, centre_hz = _model(basis, drive_hz, np.exp(form.log_magnitude), start_hz)
         models.append(replace(bare, ripple=form.ripple, line_weight=form.log_probability))
-    model, given, state = _again(models[0], known, displacements, centre_hz)
+    drift = shared_drift(displacements)
+    model, given, state = _again(models[0], known, displacements, drift, centre_hz)
     end, given = in_rounds(model, given, state, _scatter_of(known), _AGAIN - 1)
     state, scatter = end.state, end.next_scatter
     levelled = [at_level(each, state) for each in models]
@@ -202,22 +210,22 @@ def _model(
 
 
 def _begun(
-    model: Model, displacements: Displacements, centre_hz: Array
+    model: Model, displacements: Displacements, drift: FieldDrift, centre_hz: Array
 ) -> tuple[Model, Given, State]:
     """Start from the displacements alone."""
-    noise, drift = noise_of(displacements), shared_drift(displacements)
+    noise = noise_of(displacements)
     model, state = staged(model, displacements, noise, drift, centre_hz)
     return model, Given(displacements, drift, noise, _last_prior(model, state, centre_hz)), state
 
 
 def _again(
-    model: Model, known: ModalFit, displacements: Displacements, centre_hz: Array
+    model: Model, known: ModalFit, displacements: Displacements, drift: FieldDrift, centre_hz: Array
 ) -> tuple[Model, Given, State]:
     """Start from known modes: only the drive of every hologram is fitted to the displacements.
 
     What modes lose belongs to these modes; other parameters of the light do not.
     """
-    noise, drift = noise_of(displacements), shared_drift(displacements)
+    noise = noise_of(displacements)
     unit = known.amplitude_rad / known.drive[:, None]
     drive = np.sum(unit.conj() * displacements.amplitude_rad, axis=1)
     drive = np.where(np.abs(drive) > 0, drive / np.sum(np.abs(unit) ** 2, axis=1), known.drive)

@@ -18,7 +18,11 @@ from fitting.modal.field_drift import (
     likeliest_step,
     magnitude_error,
     shared_error,
+    steady,
 )
+from fitting.modal.fit import _begun, _model, fit_roughly
+from fitting.modal.losses import shared_drift
+from tests.fitting.modal.test_fit import DRIVE_HZ, MODE_HZ, NAMES, planted
 
 HOLOGRAMS, AMPLITUDES, ERRORS = 61, 4, 131
 
@@ -216,3 +220,32 @@ def test_the_power_of_the_laser_is_no_change_of_light(drift):
     assert not covariance_by_other_changes(drift, ranks, renewal, 1e-3, following).any()
     following[:, ::2, ERRORS - 1] = 1.0
     assert covariance_by_other_changes(drift, ranks, renewal, 1e-3, following) > 0
+
+
+def test_a_fit_begins_in_steady_light(common_mode):
+    """Drift begins at none, with what all holograms share as it was found without."""
+    sweep, rng = planted(2), np.random.default_rng(12)
+    found, starts = sweep.displacements, dict(zip(NAMES[:5], MODE_HZ[:5].tolist(), strict=True))
+    holograms, size = len(DRIVE_HZ), 2 * found.amplitude_rad.shape[1]
+    light = CommonModeError(
+        0.1 * rng.standard_normal((holograms, size, ERRORS)),
+        np.tile(100 * np.eye(ERRORS), (holograms, 1, 1)),
+        rng.standard_normal((holograms, ERRORS)),
+    )
+    found = replace(found, common_mode=light, recording_rank=np.arange(holograms))
+    drift = shared_drift(found)
+    assert drift.parameters > drift.constant > ERRORS
+    states = []
+    for each in (drift, steady(drift)):
+        model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, starts)
+        _, given, state = _begun(model, found, each, centre_hz)
+        assert given.drift is each
+        assert len(state.shared) == each.parameters
+        states.append(state)
+    assert not states[0].shared[drift.constant :].any()
+    assert np.count_nonzero(states[0].shared[: drift.constant]) > 100
+    assert states[0].shared[: drift.constant].tolist() == states[1].shared.tolist()
+    assert states[0].x.tolist() == states[1].x.tolist()
+    rough = fit_roughly(found, sweep.basis, DRIVE_HZ, sweep.volts, starts)
+    assert np.ptp(rough.common_mode_shift, axis=0).max() == 0
+    assert rough.common_mode_shift.any()

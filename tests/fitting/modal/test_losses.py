@@ -274,7 +274,8 @@ def test_a_known_fit_starts_with_what_its_modes_lose():
     sweep = out_of_phase(2)
     found, starts = sweep.fit(), dict(zip(NAMES[:5], MODE_HZ[:5].tolist(), strict=True))
     model, centre_hz = _model(sweep.basis, DRIVE_HZ, sweep.volts, starts)
-    _, _, state = _again(model, found, sweep.displacements, centre_hz)
+    drift = shared_drift(sweep.displacements)
+    _, _, state = _again(model, found, sweep.displacements, drift, centre_hz)
     assert found.state.loss_parameters[0] > 0.5 * DIFFERENCE
     assert state.loss_parameters.tolist() == found.state.loss_parameters.tolist()
 

@@ -2,7 +2,8 @@
 
 A lensless camera far from the reed: the field on the sensor is one Fourier transform of the
 object's field times a quadratic phase. Points of the object are finer than the image resolves, each
-with a speckle of its own, so fringes that are too fine blur.
+with a speckle of its own, so fringes that are too fine blur, and none lies in the middle of a pixel
+of the image: the sensor's edges spread their light over all of it.
 """
 
 from dataclasses import dataclass
@@ -117,16 +118,21 @@ class Camera:
             1 + chip.pattern * rng.standard_normal((n, n))
         )
         self._dark_e_s = chip.hot_e_s * (rng.random((n, n)) < chip.hot)
+        self._points_chirp = self._chirp_of_points()
         self._object_chirp = _chirp(n, pitch_m(chip), DISTANCE_M)
         # The reed stands where it stands; images are focused where the laboratory believes it.
         self._sensor_chirp = _chirp(n, chip.pixel_m, DISTANCE_M + light.defocus_m)
         self._focus_chirp = _chirp(n, chip.pixel_m, DISTANCE_M)
+        hann = np.sin(np.pi * np.arange(n) / n) ** 2
+        self._window = np.multiply.outer(hann, hann)
         self.chip, self.light = chip, light
 
     def sidebands(
         self, modal: Complex | None, moved_m: float = 0.0, base_m: complex = 0.0
     ) -> dict[int, Complex]:
-        """Light of each sideband in the object's image (n, n), √(electrons/s) after transform.
+        """Light of each sideband at the points of the stage (h·f, w·f).
+
+        It is √(electrons/s) after `on_sensor`.
 
         Parameters
         ----------
@@ -158,13 +164,23 @@ class Camera:
             )
         return images
 
-    def on_sensor(self, image: Complex) -> Complex:
-        """Field on the sensor of an object's image."""
-        spectrum = scipy.fft.fftshift(
-            scipy.fft.ifft2(scipy.fft.ifftshift(image * self._object_chirp), norm="ortho")
-        )
-        field: Complex = spectrum * self._sensor_chirp
-        return field
+    def on_sensor(self, points: Complex) -> Complex:
+        """Field (n, n) on the sensor of the light of points (h·f, w·f).
+
+        A sensor as many times as large would tell points from each other; this one is its middle.
+        """
+        stage, n = self.stage, self.world.chip.rows
+        field = points * self._points_chirp
+        for axis, first in ((1, stage.columns.start), (0, stage.rows.start)):
+            at = np.arange(n) - n // 2
+            field = scipy.fft.ifft(field, _FINER * n, axis=axis, norm="forward")
+            field = np.take(field, at % (_FINER * n), axis)
+            # Of the first point, in pixels from the axis.
+            place = first - n // 2 + 0.5 / _FINER - 0.5
+            turn = np.exp(2j * np.pi * place * at / n)
+            field = field * (turn[:, None] if axis == 0 else turn)
+        spread: Complex = field * self._sensor_chirp / n
+        return spread
 
     def expose(
         self,
@@ -206,10 +222,12 @@ class Camera:
     def reconstructed(self, frames: Frames) -> tuple[NDArray[np.complex64], float]:
         """Image of the reed (h, w) of four frames, and the noise outside it, dn²."""
         one, two, three, four = frames.astype(np.float64)
-        image = self.focused((one - three) + 1j * (two - four))
-        n = self.chip.rows
-        empty = np.abs(image[: n // 5, : n // 5]) ** 2
-        return image[self.stage.rows, self.stage.columns].astype(np.complex64), float(empty.mean())
+        hologram, n = (one - three) + 1j * (two - four), self.chip.rows
+        image = self.focused(hologram)
+        # Without a window a part of the reed's own light would be there.
+        empty = np.abs(self.focused(self._window * hologram)[: n // 5, : n // 5]) ** 2
+        noise = float(empty.mean() / np.mean(self._window**2))
+        return image[self.stage.rows, self.stage.columns].astype(np.complex64), noise
 
     def focused(self, hologram: Array | Complex) -> Complex:
         """Image (n, n) of a hologram at the distance that is believed in."""
@@ -219,14 +237,23 @@ class Camera:
         return image
 
     def _image(self, points: Complex) -> Complex:
-        """Add the light of points (p,) up in the pixels (n, n) of the image."""
-        stage, n = self.stage, self.chip.rows
-        fine = np.zeros(stage.inside.shape, complex)
-        fine[stage.inside] = points
-        high, wide = len(stage.y_m), len(stage.x_m)
-        whole = np.zeros((n, n), complex)
-        whole[stage.rows, stage.columns] = fine.reshape(high, _FINER, wide, _FINER).sum(axis=(1, 3))
-        return whole
+        """Put the light of points (p,) of the reed where they are on the stage (h·f, w·f)."""
+        image = np.zeros(self.stage.inside.shape, complex)
+        image[self.stage.inside] = points
+        return image
+
+    def _chirp_of_points(self) -> Complex:
+        """Phase factors of the stage's points (h·f, w·f)."""
+        stage, pitch = self.stage, pitch_m(self.world.chip)
+        fine = pitch * ((np.arange(_FINER) + 0.5) / _FINER - 0.5)
+        turns = [
+            np.pi / (WAVELENGTH_M * DISTANCE_M) * ((at_m[:, None] + fine).ravel() + centre_m) ** 2
+            for at_m, centre_m in (
+                (stage.y_m, CENTRE_M[0]), (stage.x_m, CENTRE_M[1] - 0.5 * SIZE_M[1])
+            )
+        ]  # fmt: skip
+        chirp: Complex = np.exp(-1j * np.add.outer(*turns))
+        return chirp
 
 
 def _chirp(n: int, pitch: float, distance_m: float) -> Complex:

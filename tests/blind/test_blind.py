@@ -22,6 +22,7 @@ from blind.cases import (
 )
 from blind.effects import KINDS
 from blind.laboratory import FRAME_S, Laboratory
+from blind.optics import CENTRE_M, DISTANCE_M, SIZE_M, WAVELENGTH_M, pitch_m
 from blind.reed import Build, make_reed
 from blind.run_files import bench_text
 from blind.vibration import answerer
@@ -163,6 +164,40 @@ def test_a_reed_answers_most_at_its_resonance(plain_reed) -> None:
     assert abs(1200 * np.log2(peak / first)) < 150
     twice = answer.deflection(first, 2.0, 0.0, 0.0, 0)
     np.testing.assert_allclose(twice, 2 * answer.deflection(first, 1.0, 0.0, 0.0, 0))
+
+
+def test_each_point_sends_the_wave_of_its_place() -> None:
+    """The sum over one point, by the Fresnel integral; no point is in the middle of a pixel."""
+    laboratory = Laboratory(healthy_world(5))
+    camera, stage, chip = laboratory.camera, laboratory.stage, laboratory.world.chip
+    at = chip.pixel_m * (np.arange(chip.rows) - chip.rows // 2)
+    pitch = pitch_m(chip)
+    for row, column in ((0, 0), (11, 40), (28, 77)):
+        points = np.zeros(stage.inside.shape, complex)
+        points[row, column] = 1.0
+        y, x = (
+            centre_m + at_m[number // 2] + pitch * (0.25 if number % 2 else -0.25)
+            for number, at_m, centre_m in (
+                (row, stage.y_m, CENTRE_M[0]),
+                (column, stage.x_m, CENTRE_M[1] - 0.5 * SIZE_M[1]),
+            )
+        )
+        away2 = (at[:, None] - y) ** 2 + (at - x) ** 2
+        wave = np.exp(-1j * np.pi * away2 / (WAVELENGTH_M * DISTANCE_M)) / chip.rows
+        assert np.vdot(wave, camera.on_sensor(points)) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_noise_next_to_the_image_is_that_of_the_frames() -> None:
+    """Bright light of a reed leaves no side lobes there."""
+    laboratory = Laboratory(healthy_world(5))
+    camera, rng = laboratory.camera, np.random.default_rng(6)
+    field = camera.on_sensor(camera.sidebands(None)[0])
+    frames = np.stack([1e4 * (field * 1j**-k).real + 1e6 for k in range(4)])
+    _, alone = camera.reconstructed(frames)
+    image, noise = camera.reconstructed(frames + 3.0 * rng.standard_normal(frames.shape))
+    # Four frames of 9 dn² each.
+    assert noise == pytest.approx(36.0, rel=0.1)
+    assert alone < 1e-9 * np.mean(np.abs(image) ** 2)
 
 
 def test_light_at_rest_turns_between_acquisitions_as_fast_as_within_them() -> None:

@@ -1,10 +1,10 @@
 """What a forward model does not know of a reed, as errors that its modes share.
 
 A reed differs from its drawing in thickness, its cane from hypothesis H4, its clamp yields and is
-put on by hand, the moduli that are not fitted have handbook values, and the air is that of a free
-plate. Each such cause moves all modes together, by a pattern that the reduced reed computes. Their
-ranges are those from which disorder is drawn (`physics.parameters.disorder`), and the priors of the
-diagnosis (`physics.effects`).
+put on by hand, the moduli that are not fitted have handbook values, the air is that of a free
+plate, and that in the mouthpiece is a spring. Each such cause moves all modes together, by a
+pattern that the reduced reed computes. Their ranges are those from which disorder is drawn
+(`physics.parameters.disorder`), and the priors of the diagnosis (`physics.effects`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from holography.arrays import Array, Mask
+from physics.air import pressure_on_reed
 from physics.effects.catalogue import BY_ID
 from physics.effects.effect import Effect
 from physics.mechanics import HIGHEST_HZ, CaneShift, Mechanics, RandomLayer, ReedSolver
@@ -22,6 +23,7 @@ from physics.parameters.tree import BenchParameters, with_cane, with_part
 from physics.plausible.reeds import BEYOND_H4
 from physics.plausible.surfaces import ThicknessFunctions
 from physics.reed.reduced.derivatives import local_shifts
+from physics.reed.reduced.response import pressure_forces
 from physics.reed.reduced.vibrations import vibrations
 
 _MAP = "thickness_map"
@@ -33,6 +35,11 @@ _AIR_DENSITY = 0.025
 # Standard deviation of the flow's shape, from a free plate (0) to a reed in a wide wall (1).
 # Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
 _WALL = 0.5
+# Air that a mouthpiece holds, closed by a tweeter: a bore 15 mm wide and 70 mm long. Chosen: by
+# ruler. Its spring is one standard deviation, and may be negative: above a quarter of a wavelength,
+# at 1.2 kHz, air in a tube is a spring or a mass by turns.
+_MOUTHPIECE_M3 = 0.25 * np.pi * 15e-3**2 * 70e-3
+_AIR_KG_M3 = 1.2
 _DENSITY = "density"
 # Numbers of a `CaneShift` by which cane differs from H4's cane of the drawing's density.
 CANE = (_DENSITY, "E_L", "G_LT", "growth_E_L", "growth_G_LT")
@@ -106,9 +113,10 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
         bend = bend - linear * (bend @ linear) / max(float(linear @ linear), _LEAST_CENTS**2)
         squares += bend**2
     shifts.append(_WALL * _by_wall(solver, nominal.reed, modes))
+    shifts.append(_by_mouthpiece(solver, nominal, modes))
     maps = _by_maps(solver, nominal.reed, modes)
-    names = (*(cause.name for cause in causes), "wall", *[_MAP] * len(maps))
-    none = [False] * (1 + len(maps))
+    names = (*(cause.name for cause in causes), "wall", "mouthpiece", *[_MAP] * len(maps))
+    none = [False] * (2 + len(maps))
     return ModelErrors(
         modes=tuple(modes),
         causes=names,
@@ -225,3 +233,21 @@ def _by_wall(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array
         walled = sum(float(own @ mass @ own) for own, mass in each)
         ratios.append(walled / float(x @ air.products(found[name].hz, x)))
     return np.asarray(by_air * ratios)
+
+
+def _by_mouthpiece(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[str]) -> Array:
+    """Shift (m,) by the air that a reed compresses in the mouthpiece, to first order.
+
+    Air of volume V resists a displaced volume by the pressure ρc²/V per volume.
+    """
+    found, chamber = solver.modes(nominal.reed), nominal.chamber
+    even = partial(pressure_on_reed, chamber)
+    displaced = np.concatenate(list(pressure_forces(solver.reed, 0.0, even, loose=True).values()))
+    # Modes have unit mass over half a reed, and half a reed displaces half of the volume.
+    halves = 1 if None in solver.reed.loose else 2
+    spring = _AIR_KG_M3 * chamber.sound_speed_m_s**2 / _MOUTHPIECE_M3
+    squares = [
+        halves * (found[name].coordinates @ displaced / (2 * np.pi * found[name].hz)) ** 2
+        for name in modes
+    ]
+    return np.asarray(600 / np.log(2) * spring * np.real(squares))

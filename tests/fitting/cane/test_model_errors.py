@@ -24,11 +24,13 @@ from physics.mechanics import (
 )
 from physics.parameters.tree import BenchParameters
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.elements.fem import Symmetry
 from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.random_surface import random_surface
 from physics.reed.reduced.changes import layer
 from physics.reed.reduced.derivatives import derivatives
 from physics.reed.reduced.vibrations import vibrations
+from physics.reed.surface import on_reed, surface_shapes
 from tests.numbers import cents
 
 CANE = Components(0.5, -0.4, 0.3)
@@ -77,6 +79,44 @@ def test_a_wall_moves_f1_as_much_as_all_air_of_a_free_plate(solver, unknown):
     shift = cents(free["F1"].hz, vacuum["F1"].hz)
     # Of two standard deviations: a wall about doubles the air of F1.
     assert 2 * pattern(unknown, "wall")[0] == pytest.approx(shift, rel=0.15)
+
+
+def test_f1_compresses_the_air_in_the_mouthpiece(solver, unknown):
+    """The energy of the spring, with the shape summed over the window, against that of motion."""
+    chamber, mode = BenchParameters().chamber, solver.modes(Mechanics())["F1"]
+    x, y = np.meshgrid(np.arange(0.05e-3, 40e-3, 0.1e-3), np.arange(-6e-3, 6e-3, 0.1e-3))
+    inside = on_reed(solver.reed.geometry.outline, x, y)
+    x, y = x[inside], y[inside]
+    open_part = (x < chamber.length_m) & (np.abs(y) < chamber.half_width_m)
+    shapes = surface_shapes(solver.reed, x, y, loose=True)[Symmetry.SYMMETRIC]
+    coordinates = mode.coordinates[: shapes.shape[1]]
+    displaced_m3 = float(np.sum(open_part * (shapes @ coordinates))) * 0.1e-3**2
+    volume_m3 = np.pi / 4 * 15e-3**2 * 70e-3
+    spring = 1.2 * 343.0**2 / volume_m3
+    # Unit mass over half of the reed.
+    ratio = spring * displaced_m3**2 / (2 * (2 * np.pi * mode.hz) ** 2)
+    shift = dict(zip(PAPER_MODES, pattern(unknown, "mouthpiece"), strict=True))
+    assert shift["F1"] == pytest.approx(600 / np.log(2) * ratio, rel=0.02)
+    assert shift["F1"] > 30
+    assert max(abs(shift[name]) for name in PAPER_MODES if name != "F1") < 1
+
+
+def test_a_mouthpiece_does_not_change_a_cane(model, unknown):
+    """F1 is 50 cents high: E1 would be off by 11 %, and is by 4 %."""
+    high = np.where(np.array(PAPER_MODES) == "F1", 50.0, 0.0)
+    resonances = {Series.A: swept(model, high)}
+    without = replace(
+        unknown, cents=np.where(
+            (np.array(unknown.causes) == "mouthpiece")[:, None], 0.0, unknown.cents
+        ),
+    )  # fmt: skip
+    off = []
+    for errors in (unknown, without):
+        found = fit_components(resonances, model, errors).moduli["A"]["E1_mpa"]
+        true_mpa = viscoelastic_cane(CANE, Series.A).young_L.spring_mpa
+        off.append(abs(found.value / true_mpa - 1))
+    assert off[1] > 0.08
+    assert off[0] < 0.5 * off[1]
 
 
 @pytest.mark.slow

@@ -24,8 +24,10 @@ from physics.reed.reduced.dynamics import PIVOT_HZ
 
 # Modes beyond the sweep show only their tails: their participations have two coefficients.
 TAIL_TERMS = 2
-# Number of parameters of what modes lose, of which the first three connect them.
+# Number of parameters of what modes lose: the first three connect them, the last one is an exponent
+# of frequency.
 LOSS_PARAMETERS, CONNECTING = 5, 3
+GROWTH = LOSS_PARAMETERS - 1
 # Loss factor of dry cane.
 LOSS = 0.03
 # Degrees of freedom of the drive's Student distributions, which admit excitation peaks.

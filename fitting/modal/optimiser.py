@@ -21,7 +21,7 @@ from scipy import linalg
 
 from fitting.errors import FitError
 from fitting.modal.expected.prior import Prior
-from fitting.modal.model import Model, State
+from fitting.modal.model import GROWTH, Model, State
 from fitting.modal.noise import Data
 from fitting.modal.normal_equations import (
     Equations,
@@ -220,6 +220,9 @@ def _moved(model: Model, data: Data, prior: Prior, at: Evaluation, move: Array) 
     step[prior.free] = move[:among]
     # A logarithm changes by at most 1 in a step: the linearisation does not hold farther.
     step[:modes, 2 * powers :] = np.clip(step[:modes, 2 * powers :], -1, 1)
+    # So does an exponent: losses would overflow.
+    shared = move[among : -2 * count].copy()
+    shared[GROWTH] = np.clip(shared[GROWTH], -1, 1)
     step[modes:, :modes] /= _growth(model, data, at, step)
     drive = np.clip(move[-2 * count :].reshape(2, -1), -1, 1)
     inverse = 1 - np.minimum(drive[0], _MOST_LOUDER) - 1j * drive[1]
@@ -227,7 +230,7 @@ def _moved(model: Model, data: Data, prior: Prior, at: Evaluation, move: Array) 
         state,
         x=state.x + step,
         log_drive=state.log_drive - np.log(inverse),
-        shared=state.shared + move[among : -2 * count],
+        shared=state.shared + shared,
     )
 
 

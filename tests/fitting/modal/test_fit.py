@@ -41,6 +41,7 @@ from fitting.modal.normal_equations import (
     evaluate,
     negative_gradient,
 )
+from fitting.modal.optimiser import _moved as step_from
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
 from fitting.modal.posterior import Posterior, _by_parameters
 from fitting.modal.refit import _moved
@@ -1020,6 +1021,16 @@ def test_a_step_that_overflows_is_cut(point):
     state = minimise_cost(point.model, point.data, point.prior, lost, 8)
     assert np.isfinite(point.cost(state))
     assert point.cost(state) < point.cost(lost)
+
+
+def test_an_exponent_moves_by_no_more_than_one_in_a_step(point):
+    """Losses grow with a power of frequency, which would overflow; the other numbers are linear."""
+    here = evaluate(point.model, point.data, point.prior, point.state)
+    count, first = len(point.model.hz), np.count_nonzero(point.prior.free)
+    move = np.zeros(first + len(point.state.shared) + 2 * count)
+    move[first : first + LOSS_PARAMETERS] = 900.0
+    state = step_from(point.model, point.data, point.prior, here, move)
+    assert (state.shared - point.state.shared)[:LOSS_PARAMETERS] == pytest.approx([900.0] * 4 + [1])
 
 
 def test_what_has_no_inverse_is_said_with_the_remedy():

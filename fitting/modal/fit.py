@@ -268,8 +268,10 @@ def _finish(
     shared = posterior.shared(len(state.shared))
     # The first values are no error of the light.
     of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
-    count, follow = len(model.active), influence(best)
-    covariance = covariance + _by_other_changes(displacements, end, follow)
+    count, resonant = len(model.active), resonant_displacements(model, prior, state, now, posterior)
+    follow = influence(best, resonant)
+    by_light = _by_other_changes(displacements, end, follow)
+    covariance = covariance + by_light[: 2 * count, : 2 * count]
     spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
     own_hz, own_loss = np.exp(logs.reshape(2, -1))
     mixes = prior.free[count:, :count]
@@ -304,7 +306,7 @@ def _finish(
         field_walk=end.scatter.walk,
         common_mode_covariance=of_light,
         magnitude_error=_magnitude_error(displacements, end, shared),
-        resonant=resonant_displacements(model, prior, state, now, posterior),
+        resonant=resonant.with_errors(np.diag(by_light)[2 * count :]),
         log_drive_covariance=_mixture(weights, magnitudes)[1],
         drive_forms=_drive_forms(optima, weights),
         off=_off(displacements, end.noise),
@@ -313,7 +315,7 @@ def _finish(
 
 
 def _by_other_changes(displacements: Displacements, end: Round, follow: Influence) -> Array:
-    """Return the covariance (2a, 2a) of logs by changes of light that the fit does not follow."""
+    """Return the covariance (3a, 3a) of logs by changes of light that the fit does not follow."""
     renewal, ranks = displacements.common_mode.renewal, displacements.recording_rank
     if renewal is None:
         return np.zeros((len(follow.light),) * 2)

@@ -33,8 +33,9 @@ class ModalFit:
         Standard errors; that of the loss factor is relative.
     covariance : (2a, 2a) float
         Covariance of log frequencies, then of log loss factors.
-    influence : (2a, k, 2j) float
-        How these follow the amplitudes of holograms (real, then imaginary parts).
+    influence : (3a, k, 2j) float
+        How these, and the logs of displacements at resonance, follow the amplitudes of holograms
+        (real, then imaginary parts).
     shapes : (a, j) float
         Coordinates of the shapes in the `ShapeBasis`.
     mixing, mixing_error, mixing_spread : (m, a) float
@@ -117,11 +118,22 @@ class ModalFit:
     state: State
 
     def with_errors(self, more: Array) -> Self:
-        """Return the same modes with further errors of the logs, of covariance (2a, 2a)."""
-        covariance = self.covariance + more
+        """Return the same modes with further errors, of covariance (3a, 3a).
+
+        They are those of log frequencies, log loss factors and logs of displacements.
+        """
+        logs = len(self.covariance)
+        covariance = self.covariance + more[:logs, :logs]
+        resonant = self.resonant.with_errors(np.diag(more)[logs:])
         of_hz, of_loss = np.split(np.sqrt(np.diag(covariance)), 2)
         cents = of_hz * 1200 / np.log(2)
-        return replace(self, covariance=covariance, error_cents=cents, loss_error=of_loss)
+        return replace(
+            self,
+            covariance=covariance,
+            error_cents=cents,
+            loss_error=of_loss,
+            resonant=resonant,
+        )
 
     def loss_over_others(self, mode: int) -> float:
         """Return the loss factor of a mode over that of the others, 1 if it is the only one.

@@ -1,6 +1,6 @@
 """Joint covariance of the parameters of the joint model and of the drive of all holograms."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -66,6 +66,19 @@ class Posterior:
         found: Array = alone @ self.covariance @ alone.T + by_drive @ self.given @ by_drive.T
         return found
 
+    def moved_by(self, by_parameters: Array, by_drive: Array) -> tuple[Array, Array]:
+        """Return the covariance of linear combinations with all unknowns.
+
+        For the arguments see `of_combinations`.
+
+        Returns
+        -------
+        parameters : (r, q) float
+        drive : (r, 2k) float
+        """
+        own = (by_parameters - by_drive @ self.response.T) @ self.covariance
+        return own, by_drive @ self.given - own @ self.response
+
     @property
     def with_log_magnitude(self) -> Array:
         """Covariance (q, k) of the parameters with the log magnitude of the drive."""
@@ -110,10 +123,21 @@ class ResonantDisplacements:
     amplitude_rad : (a, j) float
         Coordinates of each mode's phase amplitude in the `ShapeBasis`.
     covariance : (a, j, j) float
+    log_by_parameters : (a, q) float
+        Derivatives of the log of each mode's amplitude, along its shape, by the parameters.
+    log_by_drive : (a, 2k) float
+        ... by the drive (log magnitude, then phase).
     """
 
     amplitude_rad: Array
     covariance: Array
+    log_by_parameters: Array
+    log_by_drive: Array
+
+    def with_errors(self, more: Array) -> "ResonantDisplacements":
+        """Return the same with further errors of the logs of all amplitudes, of variance (a,)."""
+        along = self.amplitude_rad[:, :, None] * self.amplitude_rad[:, None]
+        return replace(self, covariance=self.covariance + more[:, None, None] * along)
 
 
 def resonant_displacements(
@@ -128,6 +152,8 @@ def resonant_displacements(
     """
     count, size = len(model.active), now.shapes.shape[1]
     powers, number = model.powers.shape[1], prior.positions
+    log_by_parameters = np.zeros((count, posterior.covariance.shape[0]))
+    log_by_drive = np.zeros((count, 2 * len(model.hz)))
     amplitude, covariance = np.zeros((count, size)), np.zeros((count, size, size))
     log_hz, moved = np.log(model.hz), now.alone * now.modal
     for a, m in enumerate(model.active):
@@ -150,10 +176,12 @@ def resonant_displacements(
         mixes = np.flatnonzero(prior.free[count:, a])
         by_parameters[:, number[count + mixes, a]] += scale * model.reference[mixes].T
         amplitude[a] = scale * now.shapes[m]
+        log_by_parameters[a] = amplitude[a] @ by_parameters / (amplitude[a] @ amplitude[a])
+        log_by_drive[a] = by_drive
         covariance[a] = posterior.of_combinations(
             by_parameters, scale * np.multiply.outer(now.shapes[m], by_drive)
         )
-    return ResonantDisplacements(amplitude, covariance)
+    return ResonantDisplacements(amplitude, covariance, log_by_parameters, log_by_drive)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from fitting.modal.model import (
 from fitting.modal.noise import Data, Noise, balanced, data_of, inflated, sharing_holograms
 from fitting.modal.normal_equations import Equations, Evaluation, equations, evaluate
 from fitting.modal.optimiser import inverse, log_determinant, minimise_cost, without_drive
-from fitting.modal.posterior import Posterior
+from fitting.modal.posterior import Posterior, ResonantDisplacements
 from holography.arrays import Array, IndexArray
 
 # Stage of the last rounds.
@@ -365,34 +365,41 @@ class Influence:
     light: Array
 
 
-def influence(at: Optimum) -> Influence:
-    """Return how resonances follow what was measured: log frequencies, then log loss factors."""
+def influence(at: Optimum, resonant: ResonantDisplacements) -> Influence:
+    """Return how resonances and displacements follow what was measured.
+
+    They are log frequencies, log loss factors and logs of the amplitudes at resonance.
+    """
     model, end = at.model, at.end
-    which = among_parameters(model, end.prior)
+    which, size = among_parameters(model, end.prior), len(end.covariance)
     posterior, state, free = Posterior.of(end.here, end.covariance, 1.0), end.state, end.prior.free
-    error = np.sqrt(np.diag(posterior.covariance)[which])
-    along = posterior.covariance[:, which] / error
-    own, shared = np.split(along, [np.count_nonzero(free)])
-    magnitude, phase = np.split(-posterior.response.T @ along, 2)
+    by_parameters = np.concatenate([np.eye(size)[which], resonant.log_by_parameters])
+    by_drive = np.concatenate([np.zeros((len(which), 2 * len(model.hz))), resonant.log_by_drive])
+    along, driven = posterior.moved_by(by_parameters, by_drive)
+    error = np.sqrt(np.sum(along * by_parameters, axis=1) + np.sum(driven * by_drive, axis=1))
+    own, shared = np.split(along / error[:, None], [np.count_nonzero(free)], axis=1)
+    magnitude, phase = np.split(driven / error[:, None], 2, axis=1)
 
     def residual(r: int, step: float) -> Array:
         x = state.x.copy()
-        x[free] += step * own[:, r]
+        x[free] += step * own[r]
         moved = replace(
             state,
             x=x,
-            log_drive=state.log_drive + step * (magnitude[:, r] + 1j * phase[:, r]),
-            shared=state.shared + step * shared[:, r],
+            log_drive=state.log_drive + step * (magnitude[r] + 1j * phase[r]),
+            shared=state.shared + step * shared[r],
         )
         return end.data.whitened_residual(terms(model, moved).amplitude, moved.shared)
 
-    slopes = np.stack([residual(r, -_STEP) - residual(r, _STEP) for r in range(len(which))])
+    slopes = np.stack([residual(r, -_STEP) - residual(r, _STEP) for r in range(len(error))])
     # The covariance is the inverse of half the Gauss-Newton Hessian.
     scaled = (slopes * (error / (2 * _STEP))[:, None, None])[:, :, None]
-    return Influence(
-        np.tensordot(at.slopes, (scaled @ end.data.root)[:, :, 0], axes=1),
-        np.tensordot(at.slopes, (scaled @ end.data.response)[:, :, 0], axes=1),
-    )
+
+    def of_logs(by_each: Array) -> Array:
+        parameters, displacements = np.split(by_each[:, :, 0], [len(which)])
+        return np.concatenate([np.tensordot(at.slopes, parameters, axes=1), displacements])
+
+    return Influence(of_logs(scaled @ end.data.root), of_logs(scaled @ end.data.response))
 
 
 def with_ripple(model: Model, given: Given, state: State, scatter: Scatter) -> Optimum:

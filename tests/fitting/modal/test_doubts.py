@@ -7,6 +7,7 @@ import pytest
 
 from fitting.modal.identify import _doubt
 from fitting.modal.modal_fit import ModalFit
+from fitting.modal.posterior import ResonantDisplacements
 
 FIELDS = dict.fromkeys(ModalFit.__dataclass_fields__)
 
@@ -68,9 +69,15 @@ def test_two_resonances_as_one_stand_out_among_others():
 
 
 def test_further_errors_add_to_the_variance_of_logs():
-    modal = ModalFit(**{**FIELDS, "covariance": np.diag([9.0, 16.0, 25.0, 36.0]) * 1e-8})
-    found = modal.with_errors(np.diag([16.0, 0.0, 144.0, 28.0]) * 1e-8)
+    shapes, none = np.array([[3.0, 0.0], [0.0, 2.0]]), np.zeros((2, 0))
+    covariance = np.diag([9.0, 16.0, 25.0, 36.0]) * 1e-8
+    resonant = ResonantDisplacements(shapes, np.tile(1e-8 * np.eye(2), (2, 1, 1)), none, none)
+    modal = ModalFit(**{**FIELDS, "covariance": covariance, "resonant": resonant})
+    found = modal.with_errors(np.diag([16.0, 0.0, 144.0, 28.0, 5.0, 7.0]) * 1e-8)
     cents = 1200 / np.log(2)
     assert found.error_cents == pytest.approx([5e-4 * cents, 4e-4 * cents])
     assert found.loss_error == pytest.approx([13e-4, 8e-4])
     assert np.diag(found.covariance) == pytest.approx([25e-8, 16e-8, 169e-8, 64e-8])
+    # Those of displacements are along their shapes.
+    assert found.resonant.covariance[0] == pytest.approx(np.diag([46e-8, 1e-8]))
+    assert found.resonant.covariance[1] == pytest.approx(np.diag([1e-8, 29e-8]))

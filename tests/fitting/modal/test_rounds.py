@@ -25,7 +25,7 @@ from fitting.modal.model import (
 )
 from fitting.modal.noise import noise_of
 from fitting.modal.normal_equations import evaluate, negative_gradient
-from fitting.modal.posterior import Posterior
+from fitting.modal.posterior import Posterior, resonant_displacements
 from fitting.modal.rounds import (
     LAST,
     Given,
@@ -206,9 +206,39 @@ def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
     at = Optimum.of(end)
     expected = at.slopes @ end.covariance[own] @ (force - posterior.response @ of_drive)
     along = np.concatenate([change.real, change.imag], axis=1)
-    follow = influence(at)
-    found = np.sum(follow.amplitudes * along, axis=(1, 2))
-    assert found == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
+    resonant = resonant_at(end, posterior)
+    follow = influence(at, resonant)
+    logs, displacements = np.split(np.sum(follow.amplitudes * along, axis=(1, 2)), [len(expected)])
+    assert logs == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
+    # What all unknowns do, by the equations as a whole.
+    here = end.here
+    whole = np.block([[here.matrix, here.coupling], [here.coupling.T, here.drive_matrix]])
+    step = np.linalg.solve(whole, np.concatenate([force, of_drive]))
+    by_step = np.concatenate([resonant.log_by_parameters, resonant.log_by_drive], axis=1) @ step
+    assert displacements == pytest.approx(by_step, rel=1e-3, abs=1e-3 * np.abs(by_step).max())
+    # A small part of that step changes the displacements as their derivatives say.
+    part, first = 1e-3, np.count_nonzero(end.prior.free)
+    own, shared, magnitude, phase = np.split(
+        part * step,
+        np.cumsum([first, len(step) - first - 2 * len(DRIVE_HZ), len(DRIVE_HZ)]),
+    )
+    x = end.state.x.copy()
+    x[end.prior.free] += own
+    moved = replace(
+        end.state, x=x, shared=end.state.shared + shared,
+        log_drive=end.state.log_drive + magnitude + 1j * phase,
+    )  # fmt: skip
+    there = resonant_at(replace(end, state=moved), posterior).amplitude_rad
+    sizes = [np.linalg.norm(each, axis=1) for each in (resonant.amplitude_rad, there)]
+    assert np.log(sizes[1] / sizes[0]) == pytest.approx(
+        part * by_step, rel=1e-2, abs=1e-2 * part * np.abs(by_step).max()
+    )
+
+
+def resonant_at(end, posterior):
+    """Displacements of all modes at their resonances."""
+    now = terms(end.model, end.state)
+    return resonant_displacements(end.model, end.prior, end.state, now, posterior)
 
 
 def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):
@@ -221,7 +251,8 @@ def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):
     )  # fmt: skip
     model, given, state = begun(lit)
     end = one_round(model, given, state, NOISE_ALONE, 2)
-    follow = influence(Optimum.of(end))
+    posterior = Posterior.of(end.here, end.covariance, 1.0)
+    follow = influence(Optimum.of(end), resonant_at(end, posterior))
     light = 0.01 * rng.standard_normal((count, 131))
     moved = np.linalg.solve(end.data.root, end.data.response @ light[..., None])[..., 0]
     by_amplitudes = np.sum(follow.amplitudes * moved, axis=(1, 2))

@@ -270,8 +270,6 @@ def _finish(
     of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
     count, resonant = len(model.active), resonant_displacements(model, prior, state, now, posterior)
     follow = influence(best, resonant)
-    by_light = _by_other_changes(displacements, end, follow)
-    covariance = covariance + by_light[: 2 * count, : 2 * count]
     spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
     own_hz, own_loss = np.exp(logs.reshape(2, -1))
     mixes = prior.free[count:, :count]
@@ -306,12 +304,12 @@ def _finish(
         field_walk=end.scatter.walk,
         common_mode_covariance=of_light,
         magnitude_error=_magnitude_error(displacements, end, shared),
-        resonant=resonant.with_errors(np.diag(by_light)[2 * count :]),
+        resonant=resonant,
         log_drive_covariance=_mixture(weights, magnitudes)[1],
         drive_forms=_drive_forms(optima, weights),
         off=_off(displacements, end.noise),
         state=state,
-    )
+    ).with_errors(_by_other_changes(displacements, end, follow))
 
 
 def _by_other_changes(displacements: Displacements, end: Round, follow: Influence) -> Array:

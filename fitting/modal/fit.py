@@ -34,7 +34,6 @@ from fitting.modal.field_drift import (
     FieldDrift,
     covariance_by_other_changes,
     magnitude_error,
-    steady,
 )
 from fitting.modal.first_state import FIRST_SCATTER, at_level, participation_scale, staged
 from fitting.modal.losses import connected_by, expected_shared, forms_of, shared_drift
@@ -111,8 +110,7 @@ def fit_roughly(
 ) -> ModalFit:
     """Fit the joint model of a sweep, but for the ripple and the lines of the drive.
 
-    It predicts displacements well enough for a better fit of these, and takes the light as steady
-    (decision 0090).
+    It predicts displacements well enough for a better fit of these.
 
     Parameters
     ----------
@@ -126,7 +124,7 @@ def fit_roughly(
     ModalFit
     """
     model, centre_hz = _model(basis, drive_hz, volts, start_hz)
-    drift = steady(shared_drift(displacements))
+    drift = shared_drift(displacements)
     if known is None:
         model, given, state = _begun(model, displacements, drift, centre_hz)
         rounds, scatter = ROUNDS, FIRST_SCATTER

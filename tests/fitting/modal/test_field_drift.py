@@ -247,5 +247,4 @@ def test_a_fit_begins_in_steady_light(common_mode):
     assert states[0].shared[: drift.constant].tolist() == states[1].shared.tolist()
     assert states[0].x.tolist() == states[1].x.tolist()
     rough = fit_roughly(found, sweep.basis, DRIVE_HZ, sweep.volts, starts)
-    assert np.ptp(rough.common_mode_shift, axis=0).max() == 0
-    assert rough.common_mode_shift.any()
+    assert np.ptp(rough.common_mode_shift, axis=0).max() > 0

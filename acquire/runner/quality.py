@@ -325,8 +325,10 @@ def judge_turn(
     Judgement or None
         None if the turn is right, or cannot be measured for lack of light.
     """
-    # With less than five deviations of light the turn is not known.
-    if not turn.standard_error_rad < 1 / _DEVIATIONS:
+    # With less than five deviations of light the turn is not known: noise, too, has most of its
+    # power along some turn.
+    seen = turn.unexplained_error < math.sqrt(2) / _DEVIATIONS
+    if not (seen and turn.standard_error_rad < 1 / _DEVIATIONS):
         return None
     error_rad, uncertain_rad = abs(turn.error_rad), turn_uncertainty_rad(turn, carrier_leak)
     spoilt = error_rad > _SPOILING_TURN_RAD + uncertain_rad

@@ -391,6 +391,15 @@ def verdict_of(turn, usual=None, leak=0.0):
     return found and found.verdict
 
 
+@pytest.mark.parametrize(("deviations", "verdict"), [(3.4, None), (5.5, Verdict.LOCK)])
+def test_the_turn_of_noise_is_no_wrong_lock(deviations, verdict):
+    """Noise has most of its power along some turn: of 4660 pixels up to some 4 deviations."""
+    pixels = 4660
+    ratio = deviations / np.sqrt(pixels)
+    error = np.sqrt(2 / pixels) / ratio
+    assert verdict_of(SteadyTurn(2.4, 0.18, 0.6, error, ratio)) is verdict
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_turn_counts_where_it_spoils_the_amplitude(sign):
     """By 2 %: |cos ε cos ε/2| of a hologram is left. Five standard errors and leaks are allowed."""

@@ -15,7 +15,7 @@ Counts = NDArray[np.uint16]
 # Dark signal of hot pixels in a frame, as a fraction of the full well: least and most, evenly
 # spread in the logarithm. Chosen: from what stands out of the read noise to half a full pixel.
 _HOT_FRACTION = (0.02, 0.5)
-# Rows that are read out at a time: of the paper's camera so many fit into a processor's cache.
+# Rows that are read out at a time. Chosen: of the paper's camera they fit into a processor's cache.
 _BAND_ROWS = 32
 
 

@@ -326,7 +326,7 @@ def judge_turn(
         None if the turn is right, or cannot be measured for lack of light.
     """
     # With less than five deviations of light the turn is not known: noise, too, has most of its
-    # power along some turn.
+    # power along some turn. An image of noise scatters by 1/√2 of what is left unexplained.
     seen = turn.unexplained_error < math.sqrt(2) / _DEVIATIONS
     if not (seen and turn.standard_error_rad < 1 / _DEVIATIONS):
         return None

@@ -68,7 +68,7 @@ class ModeAmplitude:
     x_m: float
     y_m: float
     volts: float
-    scatter: float = 0.0
+    scatter: float
 
     @property
     def nm_per_v(self) -> float:
@@ -157,14 +157,14 @@ def mode_amplitudes(
         nm, error_nm = 1e9 * displacement_m([rad, np.sqrt(own + rad**2 * shared)], wavelength_m)
         log_volts = np.interp(np.log(modal.hz[a]), log_hz, np.log(fit.block_amplitudes.volts))
         # The drive at the resonance is interpolated between two holograms, and so is its scatter.
-        weights = [np.interp(np.log(modal.hz[a]), log_hz, one) for one in np.eye(len(log_hz))]
+        share = np.interp(np.log(modal.hz[a]), log_hz, np.arange(len(log_hz))) % 1
         answer[name] = ModeAmplitude(
             nm=float(nm),
             error_nm=float(error_nm),
             x_m=float(points.x_m[top]),
             y_m=float(points.y_m[top]),
             volts=float(np.exp(log_volts)),
-            scatter=modal.state.gain * float(np.linalg.norm(weights)),
+            scatter=modal.state.gain * float(np.hypot(share, 1 - share)),
         )
     return answer
 

@@ -22,6 +22,7 @@ from physics.parameters.disorder import BY_NAME, Disorder
 from physics.parameters.tree import BenchParameters, with_cane, with_part
 from physics.plausible.reeds import BEYOND_H4
 from physics.plausible.surfaces import ThicknessFunctions
+from physics.reed.radiation import AIR_DENSITY_KG_M3
 from physics.reed.reduced.derivatives import local_shifts
 from physics.reed.reduced.response import pressure_forces
 from physics.reed.reduced.vibrations import vibrations
@@ -35,11 +36,10 @@ _AIR_DENSITY = 0.025
 # Standard deviation of the flow's shape, from a free plate (0) to a reed in a wide wall (1).
 # Chosen: a mouthpiece guides the air more than a free plate does and less than a wall.
 _WALL = 0.5
-# Air that a mouthpiece holds, closed by a tweeter: a bore 15 mm wide and 70 mm long. Chosen: by
-# ruler. Its spring is one standard deviation, and may be negative: above a quarter of a wavelength,
-# at 1.2 kHz, air in a tube is a spring or a mass by turns.
+# Air that a mouthpiece holds, closed by a tweeter: a bore 15 mm wide and 70 mm long. Chosen: about
+# the bore of a clarinet's mouthpiece. Its spring is one standard deviation, and may be negative:
+# above a quarter of a wavelength, at 1.2 kHz, air in a tube is a spring or a mass by turns.
 _MOUTHPIECE_M3 = 0.25 * np.pi * 15e-3**2 * 70e-3
-_AIR_KG_M3 = 1.2
 _DENSITY = "density"
 # Numbers of a `CaneShift` by which cane differs from H4's cane of the drawing's density.
 CANE = (_DENSITY, "E_L", "G_LT", "growth_E_L", "growth_G_LT")
@@ -245,7 +245,7 @@ def _by_mouthpiece(solver: ReedSolver, nominal: BenchParameters, modes: Sequence
     displaced = np.concatenate(list(pressure_forces(solver.reed, 0.0, even, loose=True).values()))
     # Modes have unit mass over half a reed, and half a reed displaces half of the volume.
     halves = 1 if None in solver.reed.loose else 2
-    spring = _AIR_KG_M3 * chamber.sound_speed_m_s**2 / _MOUTHPIECE_M3
+    spring = AIR_DENSITY_KG_M3 * chamber.sound_speed_m_s**2 / _MOUTHPIECE_M3
     squares = [
         halves * (found[name].coordinates @ displaced / (2 * np.pi * found[name].hz)) ** 2
         for name in modes

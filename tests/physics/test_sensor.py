@@ -112,6 +112,6 @@ def test_noise_is_normal():
         found = np.mean(noise**power)
         assert abs(found - expected) < 4 * np.sqrt(variance / count)
     # Rows are read out in bands.
-    beside = (noise[:, :-1], noise[:, 1:]), (noise[:-1], noise[1:]), (noise[:-32], noise[32:])
-    for one, another in (*beside, (noise, other)):
+    neighbours = (noise[:, :-1], noise[:, 1:]), (noise[:-1], noise[1:]), (noise[:-32], noise[32:])
+    for one, another in (*neighbours, (noise, other)):
         assert abs(np.mean(one * another)) < 4 / np.sqrt(one.size)

@@ -1,5 +1,6 @@
 """Tables of what a fit found: resonances, and parameters of the cane."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -38,6 +39,15 @@ def candidates_text(candidates: Sequence[tuple[str, float]]) -> str:
     return ", ".join(f"{name} {p:.0%}" for name, p in likely or candidates[:1])
 
 
+def _per_volt(value: tuple[float, float | None]) -> str:
+    """Displacement per volt, with its error to two digits: small modes have errors of 0.03 nm/V."""
+    nm, error_nm = value
+    if not error_nm:
+        return f"{nm:.1f}"
+    digits = max(1, 1 - math.floor(math.log10(error_nm)))
+    return f"{nm:.{digits}f} ± {error_nm:.{digits}f}"
+
+
 def _amplitude(value: tuple[float, float | None]) -> str:
     return nm_text(*value)
 
@@ -62,7 +72,7 @@ _RESONANCE_COLUMNS: Final = (
     Column("amplitude_nm", "amplitude", "nm", _amplitude,
            "displacement at resonance where the mode moves most, from rest to the largest "
            "deflection (half of peak to peak), ± standard error"),
-    Column("nm_per_v", "per volt", "nm/V", _amplitude,
+    Column("nm_per_v", "per volt", "nm/V", _per_volt,
            "that displacement, divided by the peak volts of the drive, ± standard error, with what "
            "the drive scatters from step to step"),
     Column("residual_cents", "residual", "cents",

@@ -6,6 +6,7 @@ import math
 import pytest
 from rich.console import Console
 
+from reports.fit_tables import _per_volt
 from reports.own_output import page_kind
 from reports.pages import Picture, render, table_html
 from reports.tables import Column, Table, records_table, terminal_table, write_csv
@@ -88,3 +89,17 @@ def test_a_page_begins_with_the_mark_of_its_kind(template):
 
 def test_a_picture_is_part_of_the_page():
     assert Picture(b"\x00", "alt").source == "data:image/png;base64,AA=="
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ((626.34, 2.04), "626.3 ± 2.0"),
+        ((11.83, 0.0374), "11.830 ± 0.037"),
+        ((2.2, 0.132), "2.20 ± 0.13"),
+        ((43.81, 25.0), "43.8 ± 25.0"),
+        ((43.81, None), "43.8"),
+    ],
+)
+def test_an_error_per_volt_is_never_printed_as_none(value, text):
+    assert _per_volt(value) == text

@@ -11,11 +11,12 @@ from acquire.runner.callbacks import Announce, Progress, ignore
 from diagnosis.campaign import Campaign
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.campaign_diagnosis import diagnose as judge
-from diagnosis.known_bench import bench_of, known_effects_of
+from diagnosis.known_bench import known_effects_of
 from diagnosis.mean_reed import printed_reeds, tabled_reeds
 from diagnosis.observe import read
 from diagnosis.resonance_diagnosis import diagnose_resonances as judge_resonances
 from fitting.errors import FitError, FitInputError
+from fitting.known_bench import bench_of
 from physics.effects.catalogue import CATALOGUE
 from physics.errors import ImpossibleReedError
 from physics.mechanics import ReedSolver

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from fitting.known_bench import bench_of
 from physics.parameters.optics import Layout
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
@@ -14,16 +15,7 @@ from protocols.bench_parameters import (
     sensor_of_camera,
     sized_effects,
 )
-from protocols.errors import ProtocolError
 from runs.reader import Run
-
-
-def bench_of(run: Run) -> BenchFile | None:
-    """Bench file that a run carries; None if it carries none that can be read."""
-    try:
-        return BenchFile.from_text(run.bench_text, "bench of the run")
-    except ProtocolError:
-        return None
 
 
 def sensor_of(bench: BenchFile | None, run: Run) -> Sensor:

@@ -171,6 +171,7 @@ class Plan:
             "reed": self.reed.name,
             "bench": self.bench.name,
             "steps": [step.to_json() for step in self.steps],
+            "known": self.bench.known or {},
             "duration_s": self.duration_s,
             "file_size_bytes": self.file_size_bytes,
             "largest_size_bytes": self.largest_size_bytes,

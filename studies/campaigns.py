@@ -7,9 +7,9 @@ from pathlib import Path
 
 from blind.cases import Label, record_case
 from diagnosis.campaign import Campaign
-from diagnosis.known_bench import bench_of
 from diagnosis.observe import read
 from diagnosis.readings.campaign_readings import Readings
+from fitting.known_bench import bench_of
 from physics.mechanics import ReedSolver
 from physics.reed.reduced.stored import reduced_reed
 from runs.reader import Run

@@ -79,16 +79,28 @@ class _SweepBar:
 
 
 def plan_summary(plan: Plan) -> list[str]:
-    """Return duration, file size and exceeded limits of a plan, one line each."""
+    """Return duration, file size, known effects and exceeded limits of a plan, in lines."""
     minutes, seconds = divmod(round(plan.duration_s), 60)
     lines = [
         f"{len(plan.steps)} steps, {minutes} min {seconds:02d} s at the frame rate of the camera, "
-        f"{_sizes(plan)}"
+        f"{_sizes(plan)}",
+        *_known_words(plan.bench.known or {}),
     ]
     if not plan.violations:
         return [*lines, "all limits are met"]
     lines += [f"limit exceeded: {v.key}: {v.message}" for v in plan.violations]
     return lines
+
+
+def _known_words(known: Mapping[str, Mapping[str, float | str]]) -> list[str]:
+    """Return a line about what the bench is known to have; none if it is nothing."""
+    each = [
+        f"{name} ({', '.join(f'{size} {value}' for size, value in sizes.items())})"
+        for name, sizes in known.items()
+    ]
+    if not each:
+        return []
+    return [f"known of this bench, in its simulation, fit and diagnosis: {', '.join(each)}"]
 
 
 def _sizes(plan: Plan) -> str:

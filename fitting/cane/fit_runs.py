@@ -33,6 +33,7 @@ from fitting.fringes.fringes import (
     misfit_without,
 )
 from fitting.fringes.pictures import Pictures, read_pictures
+from fitting.known_bench import known_effects_in
 from fitting.modal.identify import fit_jointly, series_of
 from fitting.resonance import Resonance
 from holography.arrays import Float32Array
@@ -52,6 +53,7 @@ from physics.reed.mode_classification import PAPER_MODES
 from physics.reed.reduced.elastic import Mode, elastic_modes, viscoelastic_mode
 from physics.reed.reduced.reed import ReducedReed
 from physics.reed.surface import surface_shapes
+from physics.sized_effect import SizedEffect
 from protocols.reed import ReedFile
 from runs.reader import Run
 
@@ -324,7 +326,7 @@ def fit_runs(
         If a run shows no modes.
     FitInputError
         If the runs do not belong together, or the paper's model is asked for another reed than
-        its own.
+        its own, or this software does not know an effect that the bench is known to have.
     RunFileError
         If a file cannot be read.
     """
@@ -344,7 +346,7 @@ def fit_runs(
             return ReedFit(tuple(sweeps), None, reason)
         try:
             resonances = {Series(s.series): s.resonances for s in sweeps}
-            parameters = _parameters(resonances, forward, reed)
+            parameters = _parameters(resonances, forward, reed, known_effects_in(runs))
         except FitError as error:
             return ReedFit(tuple(sweeps), None, str(error))
         return ReedFit(tuple(sweeps), parameters, losses=_losses(sweeps, parameters, reed))
@@ -367,23 +369,27 @@ def _losses(
 
 
 def _parameters(
-    resonances: Mapping[Series, Mapping[str, Resonance]], model: ForwardModel, reed: ReducedReed
+    resonances: Mapping[Series, Mapping[str, Resonance]],
+    model: ForwardModel,
+    reed: ReducedReed,
+    known: Sequence[SizedEffect],
 ) -> ReedParameters:
     """Fit the components, with what the finite elements do not know of a reed.
 
     How that moves modes depends on the cane: it is computed for the cane of the population, and
-    once more for the cane that is found. The paper's model is as printed.
+    once more for the cane that is found. The paper's model is as printed, for a bench of which
+    nothing is known.
     """
     if isinstance(model, PaperModel) or not is_even(reed.geometry):
         return fit_components(resonances, model)
     solver, nominal = ReedSolver(reed), BenchParameters()
-    found = fit_components(resonances, model, model_errors(solver, nominal, PAPER_MODES))
+    found = fit_components(resonances, model, model_errors(solver, nominal, PAPER_MODES, known))
     components = Components(**{name: each.value for name, each in found.components.items()})
     # Of a reed of impossible cane nothing can be computed; and other modes may exchange shapes.
     with suppress(ImpossibleReedError, FitError):
         cane = viscoelastic_cane(components, Series.A)
         own = replace(nominal, reed=replace(nominal.reed, cane=cane))
-        return fit_components(resonances, model, model_errors(solver, own, PAPER_MODES))
+        return fit_components(resonances, model, model_errors(solver, own, PAPER_MODES, known))
     return found
 
 

@@ -5,6 +5,9 @@ put on by hand, the moduli that are not fitted have handbook values, the air is 
 plate, and that in the mouthpiece is a spring. Each such cause moves all modes together, by a
 pattern that the reduced reed computes. Their ranges are those from which disorder is drawn
 (`physics.parameters.disorder`), and the priors of the diagnosis (`physics.effects`).
+
+Effects that the bench is known to have move all modes, too: by a known amount, and by causes of the
+standard errors of their sizes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +29,7 @@ from physics.reed.radiation import AIR_DENSITY_KG_M3
 from physics.reed.reduced.derivatives import local_shifts
 from physics.reed.reduced.response import pressure_forces
 from physics.reed.reduced.vibrations import vibrations
+from physics.sized_effect import SizedEffect
 
 _MAP = "thickness_map"
 # Shifts below this are none. Chosen: far below any standard error.
@@ -66,6 +70,8 @@ class ModelErrors:
         Error of each mode by itself: what its shifts are not proportional to their causes.
     cane : (q, 5) float
         By which each cause changes the numbers `CANE` of a `CaneShift`.
+    known_cents : (m,) float
+        Shift of each mode by what is known of the bench.
     """
 
     modes: tuple[str, ...]
@@ -75,6 +81,7 @@ class ModelErrors:
     of_clamping: Mask
     own_cents: Array
     cane: Array
+    known_cents: Array
 
 
 @dataclass(frozen=True)
@@ -87,7 +94,12 @@ class _Cause:
     of_clamping: bool = False
 
 
-def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[str]) -> ModelErrors:
+def model_errors(
+    solver: ReedSolver,
+    nominal: BenchParameters,
+    modes: Sequence[str],
+    known: Sequence[SizedEffect] = (),
+) -> ModelErrors:
     """Compute how modes depend on what is not known of a reed.
 
     Parameters
@@ -95,16 +107,20 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
     solver : ReedSolver
         Of the kind of reed.
     nominal : BenchParameters
-        The reed as far as it is known.
+        The reed as far as it is known, but for the effects below.
     modes : sequence of str
+    known : sequence of SizedEffect, optional
+        Effects that the bench is known to have.
 
     Raises
     ------
     ImpossibleReedError
-        If a change by one standard deviation leaves no reed.
+        If the known effects, or a change by one standard deviation, leave no reed.
     """
+    without, nominal = nominal, _with_known(nominal, known)
     at_rest = _cents(solver, nominal.reed, modes)
-    causes = list(_causes(nominal))
+    known_cents = at_rest - _cents(solver, without.reed, modes)
+    causes = [*_causes(nominal), *_uncertain(without, known)]
     shifts, squares = [], np.zeros(len(modes))
     for cause in causes:
         linear, bend = _shift(solver, cause, at_rest, modes)
@@ -125,7 +141,31 @@ def model_errors(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[s
         of_clamping=np.array([cause.of_clamping for cause in causes] + none),
         own_cents=np.sqrt(squares),
         cane=np.array([[_of_cane(name) * (name == field) for field in CANE] for name in names]),
+        known_cents=known_cents,
     )
+
+
+def _with_known(
+    nominal: BenchParameters,
+    known: Sequence[SizedEffect],
+    number: int = -1,
+    size: int = 0,
+    deviations: float = 0.0,
+) -> BenchParameters:
+    """Return a bench with known effects, one of which has one size off by standard errors."""
+    for place, effect in enumerate(known):
+        off = [0.0] * len(effect.uncertain)
+        if place == number:
+            off[size] = deviations
+        nominal = effect.change(nominal, tuple(off))
+    return nominal
+
+
+def _uncertain(nominal: BenchParameters, known: Sequence[SizedEffect]) -> Iterator[_Cause]:
+    """Yield the standard errors of the sizes of known effects."""
+    for number, effect in enumerate(known):
+        for size in range(len(effect.uncertain)):
+            yield _Cause(effect.effect.id, partial(_with_known, nominal, known, number, size))
 
 
 def _causes(nominal: BenchParameters) -> Iterator[_Cause]:

@@ -112,8 +112,9 @@ def fit_components(
         Found resonances by name, per series.
     model : ForwardModel
     unknown : ModelErrors, optional
-        What the model does not know of the reed. Its causes are fitted, too, each with a prior of
-        one standard deviation; the covariance of the components contains them.
+        What the model does not know of the reed, and what is known of the bench. Causes are
+        fitted, too, each with a prior of one standard deviation; the covariance of the components
+        contains them.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def fit_components(
         components.
     """
     observed = [
-        _Observation(series, name, model.modes.index(name), found, _own_error(unknown, name))
+        _Observation(series, name, model.modes.index(name), found, *_of_mode(unknown, name))
         for series, named in resonances.items()
         for name, found in named.items()
         if name in model.modes
@@ -187,6 +188,7 @@ class _Observation:
     mode: int
     found: Resonance
     own_cents: float = 0.0
+    known_cents: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -251,8 +253,12 @@ class _Problem:
         return solution.x, np.asarray(solution.jac, dtype=float)
 
 
-def _own_error(unknown: ModelErrors | None, name: str) -> float:
-    return float(unknown.own_cents[unknown.modes.index(name)]) if unknown else 0.0
+def _of_mode(unknown: ModelErrors | None, name: str) -> tuple[float, float]:
+    """Return the error of one mode, and the shift that is known of it, in cents."""
+    if unknown is None:
+        return 0.0, 0.0
+    mode = unknown.modes.index(name)
+    return float(unknown.own_cents[mode]), float(unknown.known_cents[mode])
 
 
 def _problem(
@@ -344,7 +350,10 @@ def _residual_cents(observed: Sequence[_Observation], values: Array, model: Forw
         s: viscoelastic_cents(model, cane_of(values, s), s) for s in {o.series for o in observed}
     }
     return np.array(
-        [float(cents_of(o.found.frequency_hz)) - computed[o.series][o.mode] for o in observed]
+        [
+            float(cents_of(o.found.frequency_hz)) - o.known_cents - computed[o.series][o.mode]
+            for o in observed
+        ]
     )
 
 

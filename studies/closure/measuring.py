@@ -12,10 +12,10 @@ from typing import Any, Final
 import acquire
 from acquire.runner.summary import RunState
 from diagnosis.campaign import Campaign
-from diagnosis.known_bench import bench_of
 from diagnosis.observe import read
 from diagnosis.readings.campaign_readings import Readings, read_unfitted
 from drivers.simulated.settings import bench_parameters, read_simulation
+from fitting.known_bench import bench_of
 from physics.effects.effect import Effect
 from physics.parameters.tree import BenchParameters
 from protocols.bench import BenchFile

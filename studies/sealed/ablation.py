@@ -24,9 +24,9 @@ from blind.scoring import NONE, share
 from diagnosis.campaign import Campaign
 from diagnosis.campaign_diagnosis import CampaignSummary, diagnose_problem, inference_problem
 from diagnosis.inference.problem import InferenceProblem
-from diagnosis.known_bench import bench_of
 from diagnosis.observable_groups import ObservableGroup, observable_group
 from diagnosis.observe import read
+from fitting.known_bench import bench_of
 from holography.reconstruction import Reconstruction
 from physics.mechanics import ReedSolver
 from physics.reed.reduced.stored import reduced_reed

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagnosis.known_bench import bench_of, known_effects_of, only_once, sensor_of
+from diagnosis.known_bench import known_effects_of, only_once, sensor_of
+from fitting.known_bench import bench_of
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 from protocols.bench import BenchFile

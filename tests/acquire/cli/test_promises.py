@@ -117,8 +117,19 @@ def test_a_plan_is_exact_to_the_last_digit(cli, no_instruments):
     assert answer["steps"][0]["volts"] == 0.5
     assert {step["volts"] for step in answer["steps"][72:]} == {16.0}
     assert answer["violations"] == []
+    assert answer["known"] == {}
     assert answer["duration_s"] > 184 * 0.4
     assert answer["file_size_bytes"] > 1e6
+
+
+def test_a_plan_shows_what_is_known_of_the_bench(cli, folder):
+    shipped = Path(__file__).parents[3] / "protocols" / "benches" / "simulated.yaml"
+    known = "known: {tip_mass: {mass: 4e-7 ± 1e-7 kg}}\n"
+    text = shipped.read_text(encoding="utf-8")
+    Path("mine.yaml").write_text(f"{text}\n{known}", encoding="utf-8")
+    answer = cli("plan", "quick", "--bench", "mine.yaml", "--json").json
+    assert answer["known"] == {"tip_mass": {"mass": "4e-7 ± 1e-7 kg"}}
+    assert "tip_mass (mass 4e-7 ± 1e-7 kg)" in cli("plan", "quick", "--bench", "mine.yaml").out
 
 
 # --- run, list ---------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from fitting.cane.over_density import MODULI, components_over_density, moduli_mp
 from fitting.cane.reed_fit import _never_negative, fit_components
 from fitting.forward import hz_of, viscoelastic_cents
 from fitting.resonance import Resonance
+from physics.effects.catalogue import BY_ID
 from physics.mechanics import (
     HIGHEST_HZ,
     CaneShift,
@@ -31,6 +32,7 @@ from physics.reed.reduced.changes import layer
 from physics.reed.reduced.derivatives import derivatives
 from physics.reed.reduced.vibrations import vibrations
 from physics.reed.surface import on_reed, surface_shapes
+from physics.sized_effect import SizedEffect
 from tests.numbers import cents
 
 CANE = Components(0.5, -0.4, 0.3)
@@ -144,6 +146,41 @@ def test_a_yielding_clamp_is_not_taken_for_soft_cane(model, unknown):
     assert blind.moduli["A"]["E_4kHz_mpa"].value < 0.98 * truth.value
     off = aware.moduli["A"]["E_4kHz_mpa"].value / truth.value - 1
     assert abs(off) < 0.01
+
+
+def heavy_tip(**errors):
+    """0.4 mg on the tip."""
+    return SizedEffect(BY_ID["tip_mass"], {"mass": 0.4e-6}, errors)
+
+
+def test_what_is_known_of_a_bench_is_not_taken_for_another_cane(model, solver, unknown):
+    known = heavy_tip()
+    with_mass = model_errors(solver, BenchParameters(), PAPER_MODES, [known])
+    both = BenchParameters(), known.change(BenchParameters())
+    plain, heavy = (solver.modes(parameters.reed) for parameters in both)
+    shift = np.array([cents(heavy[name].hz, plain[name].hz) for name in PAPER_MODES])
+    assert shift[0] < -20
+    np.testing.assert_allclose(with_mass.known_cents, shift, atol=1e-6)
+    np.testing.assert_array_equal(unknown.known_cents, 0.0)
+    found = {Series.A: swept(model, shift)}
+    truth = fit_components({Series.A: swept(model, np.zeros(11))}, model, unknown).moduli["A"]
+    blind, aware = (fit_components(found, model, each).moduli["A"] for each in (unknown, with_mass))
+    off = [each["E_4kHz_mpa"].value / truth["E_4kHz_mpa"].value - 1 for each in (blind, aware)]
+    assert off[0] < -0.01
+    assert abs(off[1]) < 0.005
+
+
+def test_an_uncertain_size_is_one_more_cause(solver, unknown):
+    sure, unsure = heavy_tip(), heavy_tip(mass=0.1e-6)
+    exact, found = (
+        model_errors(solver, BenchParameters(), PAPER_MODES, [each]) for each in (sure, unsure)
+    )
+    assert set(found.causes) - set(unknown.causes) == {"tip_mass"}
+    assert len(found.causes) == len(exact.causes) + 1
+    # A quarter of the mass moves modes by about a quarter.
+    np.testing.assert_allclose(
+        pattern(found, "tip_mass"), exact.known_cents / 4, rtol=0.15, atol=0.5
+    )
 
 
 def young_modulus(values, shift):

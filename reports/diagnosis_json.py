@@ -145,6 +145,7 @@ def _effects(verdict: Diagnosis) -> dict[str, Any]:
             "absorbed": None if np.isnan(own.absorbed) else own.absorbed,
             "detectable": {k: v if np.isfinite(v) else None for k, v in own.detectable.items()},
             "confusable": own.confusable,
+            "refuted_by": [asdict(each) for each in verdict.selection.refuted.get(name, ())],
         }
     return told
 

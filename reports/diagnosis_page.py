@@ -227,6 +227,7 @@ def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
     sections = (
         _stages(verdict.gap),
         _Section("Likeliest causes", (_causes(verdict), _triggers(verdict))),
+        *_refuted_section(verdict),
         _Section("How much of the difference is explained", (_plain(verdict),), _NOT_PROOF),
         *_known_section(verdict.known),
         _Section(
@@ -323,6 +324,28 @@ def _triggers(verdict: Diagnosis) -> Table:
         (t.description, t.value, t.chance, "yes" if t.significant else "no") for t in verdict.checks
     )
     return Table(columns, rows)
+
+
+def _refuted_section(verdict: Diagnosis) -> tuple[_Section, ...]:
+    """Return the causes that would explain more than nothing does, if nothing refuted them."""
+    columns = (
+        Column("cause", "cause"),
+        Column("group", "group of observables"),
+        Column("share", "share", "", ".0%",
+               "of what the cause would change in this group, the part that was measured"),
+        Column("error", "±", "", ".0%", "standard error of the share"),
+    )  # fmt: skip
+    rows = tuple(
+        (_title(each.effect), each.group, each.share, each.error)
+        for name, against in verdict.selection.refuted.items()
+        if "+" not in name
+        for each in against
+    )
+    text = (
+        "These would explain a part of the difference, but would also change a group of "
+        "observables that has not changed so. They are not named."
+    )
+    return (_Section("Causes that are refuted", (Table(columns, rows),), text),) if rows else ()
 
 
 def _plain(verdict: Diagnosis) -> Table:

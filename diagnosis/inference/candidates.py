@@ -251,7 +251,7 @@ def _candidate(
         p = len(found.z) - count
         moved = found.jacobian[:, p:] @ found.z[p:]
         seen = moved - absorbed_part(found.jacobian[:, :p], moved)
-        deviation = np.hypot(1.0, FORM * seen)
+        deviation = np.hypot(1.0, weighed.scales.form * FORM * seen)
         left, slopes = found.residuals / deviation, found.jacobian / deviation[:, None]
         found = replace(
             found,
@@ -366,9 +366,9 @@ def start_with(problem: InferenceProblem, candidate: Candidate) -> Start:
     residuals = problem.residuals(parameters)
     slopes = candidate.estimate.jacobian * candidate.deviation[:, None]
     model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
-    model, form = _with_sizes(problem, model, slopes, candidate.sizes)
-    weighed = weigh(model, candidate.weighed.scales, form)
-    return Start(parameters, residuals, model, weighed, np.zeros(0), form)
+    model = _with_sizes(problem, model, slopes, candidate.sizes)
+    weighed = weigh(model, candidate.weighed.scales)
+    return Start(parameters, residuals, model, weighed, np.zeros(0))
 
 
 def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate) -> Start | None:
@@ -380,28 +380,23 @@ def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate)
         return None
     before = with_effects(problem.parameters(z), candidate.effects[:-1], sizes[:others])
     model = problem.linear_model(found.residuals, slopes[:, :p], z)
-    model, form = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
+    model = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
     seen = _seen(problem, slopes[:, :p], slopes[:, p + others :] @ sizes[others:])
-    weighed = weigh(
-        model.with_columns(problem.form_columns(seen)),
-        candidate.weighed.scales,
-        form + (FORM * seen) ** 2,
-    )
-    return Start(before, found.residuals, model, weighed, sizes[others:], form)
+    weighed = weigh(problem.with_form(model, seen), candidate.weighed.scales)
+    return Start(before, found.residuals, model, weighed, sizes[others:])
 
 
 def _with_sizes(
     problem: InferenceProblem, model: LinearModel, slopes: Array, sizes: Array
-) -> tuple[LinearModel, Array]:
-    """Return a model with sizes of effects as known columns, and variances (n,) by their form.
+) -> LinearModel:
+    """Return a model with sizes of effects as known columns, and with their form.
 
     `slopes` are along the nuisances, then along the sizes.
     """
     p = slopes.shape[1] - len(sizes)
     own = slopes[:, p:]
     seen = _seen(problem, slopes[:, :p], own @ sizes)
-    columns = np.hstack([problem.to_noise(own), problem.form_columns(seen)])
-    return model.with_columns(columns), (FORM * seen) ** 2
+    return problem.with_form(model.with_columns(problem.to_noise(own)), seen)
 
 
 def _seen(problem: InferenceProblem, slopes: Array, moved: Array) -> Array:

@@ -83,7 +83,7 @@ def discrepancies_of(
     dict of (d,) float
     """
     model = candidate.model
-    usual = weighed_at(model, model.usual, candidate.weighed.form)
+    usual = weighed_at(model, model.usual)
     found = {}
     for number, block in enumerate(problem.groups):
         state = _Left(left, usual.precision, problem.covariance(number, model.usual))
@@ -126,11 +126,11 @@ def _factor(
     What is unknown may be the reason why errors of the group seem large: it is tried with the
     scales as they are without it, and with the usual ones.
     """
-    fitted, form = candidate.weighed.scales, candidate.weighed.form
-    likeliest = weighed_at(model, fitted, form).log_evidence
+    fitted = candidate.weighed.scales
+    likeliest = weighed_at(model, fitted).log_evidence
     gains, columns = [], []
     for scales in (fitted, problem.usual_errors(number, fitted)):
-        here = weighed_at(model, scales, form)
+        here = weighed_at(model, scales)
         state = _Left(left, here.precision, problem.covariance(number, scales))
         for gain, table in _gains(problem, state, number):
             gains.append(gain + here.log_evidence - likeliest)

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from diagnosis.inference.estimation import MapEstimate
 from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
-from diagnosis.inference.problem import FORM, InferenceProblem, LocatedEffect
+from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from holography.arrays import Array
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
@@ -61,8 +61,6 @@ class Start:
         With the likeliest scales.
     sizes : (s,) float
         Sizes of the effect; all 0 where it is added.
-    form : (n,) float
-        Variance by the form of other effects, in units of the noise.
     """
 
     parameters: BenchParameters
@@ -70,15 +68,13 @@ class Start:
     model: LinearModel
     weighed: Weighed
     sizes: Array
-    form: Array
 
     @classmethod
     def without(cls, problem: InferenceProblem, found: MapEstimate) -> "Start":
         """Return the model without effects, as it was fitted."""
         model = problem.linear_model(found.residuals, found.jacobian, found.z)
         parameters = problem.parameters(found.z)
-        none = np.zeros(len(found.residuals))
-        return cls(parameters, found.residuals, model, weigh(model), np.zeros(0), none)
+        return cls(parameters, found.residuals, model, weigh(model), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -345,11 +341,8 @@ class _Swept:
         shift, seconds = self.moved(share), self.seconds(share)
         # What nuisances absorb of an effect, they absorb in any form.
         seen = start.model.not_absorbed(shift - self.moved(0.0), start.model.usual)
-        model = start.model.moved(shift).with_columns(
-            np.hstack([seconds, line.problem.form_columns(seen)])
-        )
-        form = start.form + (FORM * seen) ** 2
-        after = weigh(model, start.weighed.scales, form, _TURNS)
+        model = line.problem.with_form(start.model.moved(shift).with_columns(seconds), seen)
+        after = weigh(model, start.weighed.scales, _TURNS)
         sizes, q = line.sizes_at(share), len(start.model.family)
         own = after.nuisances[q : q + len(line.seconds)]
         sizes[line.seconds] += own

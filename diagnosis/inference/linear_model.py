@@ -2,9 +2,10 @@
 
 A bench may be noisier, and differ more from the drawing, than usual. Each group of observables has
 a factor on its noise, and each family of nuisances (thickness of the reed, constants of the cane,
-ripple of the loudspeaker …) a factor on its standard deviations. Their logarithms have Gaussian
-priors and are fitted for each hypothesis, so that more disorder costs power and is no
-evidence for an effect. Given the factors the model is linear and Gaussian, and its evidence exact.
+ripple of the loudspeaker …) a factor on its standard deviations. So has the form of effects, which
+is not quite that of the catalogue (decision 0092). The logarithms of all these have Gaussian priors
+and are fitted for each hypothesis, so that more disorder costs power and is no evidence for an
+effect. Given the factors the model is linear and Gaussian, and its evidence exact.
 """
 
 from dataclasses import dataclass, replace
@@ -22,6 +23,9 @@ from holography.arrays import Array
 _SETTLED, _MOST_TURNS = 0.01, 60
 # Newton steps for one factor, which converge quadratically.
 _STEPS = 8
+# The form of an effect is no farther off than this many standard deviations of its factor: what
+# deviates more is another cause.
+_MOST_FORM = 2.0
 # Family of a column whose standard deviation is known.
 KNOWN = -1
 
@@ -35,11 +39,16 @@ class Scales:
     noise : (g,) float
         Of each group of observables; not negative.
     families : (f,) float
-        Of each family of nuisances.
+        Of each family of nuisances, and of the form of effects, which comes last.
     """
 
     noise: Array
     families: Array
+
+    @property
+    def form(self) -> float:
+        """Factor on the deviations of the form of effects."""
+        return float(np.exp(self.families[-1]))
 
 
 @dataclass(frozen=True)
@@ -55,11 +64,14 @@ class LinearModel:
     group : (n,) int
         Group of each number, from 0.
     family : (q,) int
-        Family of each nuisance, from 0; `KNOWN` for those of known standard deviation.
+        Family of each nuisance, from 0; `KNOWN` for those of known standard deviation. The last
+        family is the form of effects.
     noise_freedom : (g,) float
         Standard deviation of the log of each group's noise factor.
     family_freedom : (f,) float
         The same of each family's factor.
+    form : (n,) float
+        Further variance of each number by the form of effects, where their factor is 1.
     """
 
     left: Array
@@ -68,6 +80,7 @@ class LinearModel:
     family: NDArray[np.intp]
     noise_freedom: Array
     family_freedom: Array
+    form: Array
 
     @cached_property
     def structure(self) -> Structure:
@@ -87,11 +100,36 @@ class LinearModel:
             family=np.concatenate([self.family, np.full(columns.shape[1], KNOWN)]),
         )
 
+    def with_form(self, columns: Array, variance: Array) -> "LinearModel":
+        """Return the model with an effect whose form may deviate.
+
+        Parameters
+        ----------
+        columns : (n, c) float
+            One standard deviation of what numbers have in common.
+        variance : (n,) float
+            Of each number by itself.
+        """
+        own = np.full(columns.shape[1], len(self.family_freedom) - 1)
+        return replace(
+            self,
+            slopes=np.hstack([self.slopes, columns]),
+            family=np.concatenate([self.family, own]),
+            form=self.form + variance,
+        )
+
     def not_absorbed(self, shift: Array, scales: "Scales") -> Array:
         """Return the part of a shift (n,) that nuisances of such scales do not absorb."""
-        found = _posterior(replace(self, left=shift), scales, np.zeros(len(shift)))
+        found = _posterior(replace(self, left=shift), scales)
         left: Array = shift + self.slopes @ found.mean
         return left
+
+    def prior_variance(self, scales: Scales) -> Array:
+        """Return the variance (q,) of the nuisances before anything is measured."""
+        variance = np.ones(len(self.family))
+        scaled = self.family != KNOWN
+        variance[scaled] = np.exp(2 * scales.families[self.family[scaled]])
+        return variance
 
     def moved(self, shift: Array) -> "LinearModel":
         """Return the model that a shift (n,) of the predictions changes."""
@@ -109,8 +147,6 @@ class Weighed:
     scales : Scales
     nuisances : (q,) float
         Posterior mean, in units of the usual standard deviations.
-    form : (n,) float
-        Further variance of each number that it was weighed with.
     unusual : float
         Sum of squares of the scales' logarithms, in units of their standard deviations.
     posterior : Posterior
@@ -120,7 +156,6 @@ class Weighed:
     log_evidence: float
     scales: Scales
     nuisances: Array
-    form: Array
     unusual: float
     posterior: Posterior
 
@@ -130,9 +165,7 @@ class Weighed:
         return self.posterior.precision()
 
 
-def weigh(
-    model: LinearModel, begin: Scales | None = None, more: Array | None = None, turns: int = 0
-) -> Weighed:
+def weigh(model: LinearModel, begin: Scales | None = None, turns: int = 0) -> Weighed:
     """Find the likeliest scales of a model, and its evidence.
 
     Parameters
@@ -140,8 +173,6 @@ def weigh(
     model : LinearModel
     begin : Scales, optional
         Where to begin as well as at 1: the better end counts.
-    more : (n,) float, optional
-        Further variance of each number, of known size: by the form of an effect, for example.
     turns : int
         Most iterations; by default until the scales have settled.
 
@@ -149,18 +180,16 @@ def weigh(
     -------
     Weighed
     """
-    extra = np.zeros(len(model.left)) if more is None else more
     starts = [model.usual] if begin is None else [model.usual, begin]
-    ends = [_settled(model, start, extra, turns or _MOST_TURNS) for start in starts]
-    each = [weighed_at(model, end, extra) for end in ends]
+    ends = [_settled(model, start, turns or _MOST_TURNS) for start in starts]
+    each = [weighed_at(model, end) for end in ends]
     return max(each, key=lambda one: one.log_evidence)
 
 
-def _settled(model: LinearModel, scales: Scales, extra: Array, turns: int) -> Scales:
+def _settled(model: LinearModel, scales: Scales, turns: int) -> Scales:
     """Follow the scales until they have settled."""
     for _ in range(turns):
-        found = _posterior(model, scales, extra)
-        after = _next(model, scales, extra, found)
+        after = _next(model, scales, _posterior(model, scales))
         change = max(
             np.abs(after.noise - scales.noise).max(initial=0.0),
             np.abs(after.families - scales.families).max(initial=0.0),
@@ -171,33 +200,24 @@ def _settled(model: LinearModel, scales: Scales, extra: Array, turns: int) -> Sc
     return scales
 
 
-def weighed_at(model: LinearModel, scales: Scales, more: Array | None = None) -> Weighed:
-    """Weigh a model with given scales; parameters as those of `weigh`."""
-    extra = np.zeros(len(model.left)) if more is None else more
-    found, unusual = _posterior(model, scales, extra), _unusual(model, scales)
+def weighed_at(model: LinearModel, scales: Scales) -> Weighed:
+    """Weigh a model with given scales."""
+    found, unusual = _posterior(model, scales), _unusual(model, scales)
     log_det = float(np.sum(np.log(found.variance)) - found.log_det)
-    log_det += float(np.sum(np.log(_prior_variance(model, scales))))
+    log_det += float(np.sum(np.log(model.prior_variance(scales))))
     return Weighed(
         log_evidence=-0.5 * (found.squares + log_det + unusual),
         scales=scales,
         nuisances=found.mean,
-        form=extra,
         unusual=unusual,
         posterior=found,
     )
 
 
-def _posterior(model: LinearModel, scales: Scales, extra: Array) -> Posterior:
+def _posterior(model: LinearModel, scales: Scales) -> Posterior:
     """Posterior of the nuisances for given scales."""
-    variance = np.exp(2 * scales.noise)[model.group] + extra
-    return Posterior.of(model.structure, model.left, variance, _prior_variance(model, scales))
-
-
-def _prior_variance(model: LinearModel, scales: Scales) -> Array:
-    variance = np.ones(len(model.family))
-    scaled = model.family != KNOWN
-    variance[scaled] = np.exp(2 * scales.families[model.family[scaled]])
-    return variance
+    variance = np.exp(2 * scales.noise)[model.group] + scales.form**2 * model.form
+    return Posterior.of(model.structure, model.left, variance, model.prior_variance(scales))
 
 
 def _unusual(model: LinearModel, scales: Scales) -> float:
@@ -206,29 +226,65 @@ def _unusual(model: LinearModel, scales: Scales) -> float:
     return float(squares)
 
 
-def _next(model: LinearModel, scales: Scales, extra: Array, found: Posterior) -> Scales:
+def _next(model: LinearModel, scales: Scales, found: Posterior) -> Scales:
     """Return the scales that are likeliest if nuisances and noise are as the last ones say (EM)."""
     left = model.left + model.slopes @ found.mean
     uncertain, spread = found.variances()
     # Of numbers with further variance only the share that is noise tells how large noise is.
     noise = np.exp(2 * scales.noise)[model.group]
     share = noise / found.variance
-    square = share**2 * (left**2 + spread) + share * extra
+    square = share**2 * (left**2 + spread) + share * (found.variance - noise)
     groups = len(model.noise_freedom)
     sums = np.bincount(model.group, square, groups).astype(float)
-    counts = np.bincount(model.group, minlength=groups)
+    counts = np.bincount(model.group, minlength=groups).astype(float)
     families = len(model.family_freedom)
     scaled = model.family != KNOWN
     own = found.mean**2 + uncertain
     amounts = np.bincount(model.family[scaled], own[scaled], families).astype(float)
-    sizes = np.bincount(model.family[scaled], minlength=families)
-    return Scales(
-        np.maximum(_likeliest_log(sums, counts, model.noise_freedom, scales.noise), 0.0),
-        _likeliest_log(amounts, sizes, model.family_freedom, scales.families),
-    )
+    sizes = np.bincount(model.family[scaled], minlength=families).astype(float)
+    amounts[-1], sizes[-1] = _of_form(model, scales, found, uncertain, left**2, spread)
+    after = _likeliest_log(amounts, sizes, model.family_freedom, scales.families)
+    most = _MOST_FORM * float(model.family_freedom[-1])
+    after[-1] = np.clip(after[-1], -most, most)
+    louder = _likeliest_log(sums, counts, model.noise_freedom, scales.noise)
+    return Scales(np.maximum(louder, 0.0), after)
 
 
-def _likeliest_log(sums: Array, counts: NDArray[np.intp], freedom: Array, begin: Array) -> Array:
+def _of_form(
+    model: LinearModel,
+    scales: Scales,
+    found: Posterior,
+    uncertain: Array,
+    square: Array,
+    spread: Array,
+) -> tuple[float, float]:
+    """Return the squares of what form deviates by, and how many of these the numbers determine.
+
+    Most numbers determine none, and EM would hardly move (D. J. C. MacKay 1992, Neural Computation
+    4:415).
+
+    Parameters
+    ----------
+    model : LinearModel
+    scales : Scales
+    found : Posterior
+    uncertain : (q,) float
+        Variance of the nuisances.
+    square, spread : (n,) float
+        Of what is left of the numbers, and its variance.
+    """
+    factor = scales.form**2
+    common = model.family == len(model.family_freedom) - 1
+    seen = model.form > 0
+    share = factor * model.form[seen] / found.variance[seen]
+    squares = np.sum(found.mean[common] ** 2)
+    squares += np.sum(share**2 * square[seen] / model.form[seen])
+    determined = np.sum(1 - uncertain[common] / factor)
+    determined += np.sum(share * (1 - spread[seen] / found.variance[seen]))
+    return float(squares), float(determined)
+
+
+def _likeliest_log(sums: Array, counts: Array, freedom: Array, begin: Array) -> Array:
     """Return x (k,) where −c x − s e^(−2x)/2 − x²/(2 t²) is largest, by Newton's method."""
     x = begin.copy()
     for _ in range(_STEPS):

@@ -23,6 +23,7 @@ from diagnosis.inference.discrepancy import group_discrepancies, log_bayes_any_u
 from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.estimation import SAME_COST, marginalised_signature
 from diagnosis.inference.null_starts import starts_without_effects
+from diagnosis.inference.predictive_checks import Refutation, refutations
 from diagnosis.inference.probabilities import (
     NONE,
     PRIOR,
@@ -64,6 +65,9 @@ class ModelSelection:
         Effects without a signature here.
     count : int
         Number of effects that were tried.
+    refuted : dict of tuple of Refutation
+        Candidates that a group of observables refutes, by name. Their evidence is at most that of
+        no effect.
     """
 
     null: Candidate
@@ -75,6 +79,7 @@ class ModelSelection:
     unknown_log_bayes_with: dict[str, float]
     undetectable: tuple[str, ...]
     count: int
+    refuted: dict[str, tuple[Refutation, ...]]
 
     @cached_property
     def log_probability(self) -> dict[str, float]:
@@ -134,11 +139,13 @@ def select_model(
         alone = each_alone(problem, null, effects)
         # Of both searches for an effect, the better one counts.
         alone |= {n: o for n, o in before.items() if _log_evidence(alone.get(n)) < o.log_evidence}
+    refuted = refute(problem, null, alone)
     report(0.7)
     signatures = signatures_of(null, alone)
     confusable = confusable_pairs({name: left for name, (_, left) in signatures.items()})
     pairs = fit_pairs(problem, null, alone, effects, confusable)
     refine_best(problem, null, pairs, log_odds_of_all({**alone, **pairs}, null, count))
+    refuted |= refute(problem, null, pairs)
     report(0.9)
     odds = log_odds_of_all(alone, null, count)
     likely = sorted(alone, key=lambda name: -odds[name])[:_LOOKED_BESIDE]
@@ -148,8 +155,28 @@ def select_model(
     report(1.0)
     factors = group_discrepancies(problem, null)
     return ModelSelection(
-        null, alone, pairs, signatures, factors, unknown, unknown_with, unseen, count
+        null, alone, pairs, signatures, factors, unknown, unknown_with, unseen, count, refuted
     )
+
+
+def refute(
+    problem: InferenceProblem, null: Candidate, candidates: dict[str, Candidate]
+) -> dict[str, tuple[Refutation, ...]]:
+    """Find candidates that a group of observables refutes, and take their evidence from them.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    null : Candidate
+    candidates : dict of Candidate
+        Those that are refuted are replaced.
+    """
+    better = [name for name, one in candidates.items() if one.log_evidence > null.log_evidence]
+    each = map_processes(lambda name: refutations(problem, candidates[name]), better)
+    found = {name: against for name, against in zip(better, each, strict=True) if against}
+    for name in found:
+        candidates[name] = replace(candidates[name], log_evidence=null.log_evidence)
+    return found
 
 
 def each_alone(
@@ -157,10 +184,7 @@ def each_alone(
 ) -> dict[str, Candidate]:
     """Return the candidates with one effect, by identifier."""
     residuals = null.estimate.residuals
-    start = Start(
-        null.parameters(problem), residuals, null.model, null.weighed, np.zeros(0),
-        np.zeros(len(residuals)),
-    )  # fmt: skip
+    start = Start(null.parameters(problem), residuals, null.model, null.weighed, np.zeros(0))
     each = map_processes(partial(search_alone, problem, start, null), effects)
     return {
         effect.id: found for effect, found in zip(effects, each, strict=True) if found is not None
@@ -202,10 +226,14 @@ def refit_candidate(problem: InferenceProblem, found: ModelSelection, name: str)
         dict(found.pairs),
         dict(found.unknown_log_bayes_with),
     )
-    (alone if name in alone else pairs)[name] = again
+    only = {name: again}
+    refuted = found.refuted | refute(problem, found.null, only)
+    (alone if name in alone else pairs).update(only)
     if name in unknown_with:
         unknown_with[name] = log_bayes_any_unknown(problem, again)
-    return replace(found, single=alone, pairs=pairs, unknown_log_bayes_with=unknown_with)
+    return replace(
+        found, single=alone, pairs=pairs, unknown_log_bayes_with=unknown_with, refuted=refuted
+    )
 
 
 def probability_range(found: ModelSelection, names: Collection[str]) -> tuple[float, float]:

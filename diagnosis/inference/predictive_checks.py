@@ -1,7 +1,8 @@
 """Predictive checks: signs that the cause is not in the catalogue, each compared with chance.
 
 Campaigns are drawn from the candidate that is named, with noise, nuisances and the form of its
-effects, and evaluated as the measured one is.
+effects, and evaluated as the measured one is. And groups of observables that refute an effect: it
+would show in them alone, and does not (decision 0093).
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,8 @@ from diagnosis.effect_notes import notes_of
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.discrepancy import discrepancies_of, log_bayes_any_group
 from diagnosis.inference.linear_model import KNOWN
-from diagnosis.inference.problem import InferenceProblem
+from diagnosis.inference.problem import InferenceProblem, with_effects
+from diagnosis.inference.similarity import DETECTION_SIGMA
 from holography.arrays import Array
 
 _DRAWS = 1000
@@ -22,6 +24,10 @@ _DRAWS = 1000
 _FREEDOMS = 5
 # A check is significant if chance makes as much in a smaller fraction of campaigns.
 _SELDOM = 0.01
+# A group of observables refutes an effect that it would detect if it sees less than this share of
+# it, by this many standard errors. Chosen: an effect that is four times smaller in one observable
+# than in the others is not the catalogue's.
+_LEAST_SHARE, _SURELY = 0.25, 3.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,81 @@ def predictive_checks(
     return tuple(found)
 
 
+@dataclass(frozen=True)
+class Refutation:
+    """A group of observables in which an effect would show, and does not.
+
+    Attributes
+    ----------
+    effect, group : str
+    share : float
+        Of what the effect would change there, the part that was measured.
+    error : float
+        Standard error of the share.
+    """
+
+    effect: str
+    group: str
+    share: float
+    error: float
+
+
+def refutations(problem: InferenceProblem, candidate: Candidate) -> tuple[Refutation, ...]:
+    """Return which groups of observables refute which effects of a candidate.
+
+    Each group is taken by itself, with errors of usual size: a fit with an effect that does not
+    show makes them larger. Nuisances are as uncertain as they are before anything is measured.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    candidate : Candidate
+        Sizes of its effects are as fitted to all groups together.
+    """
+    model = candidate.model
+    last = len(model.family_freedom) - 1
+    # Columns of effects and of their form come after those of the nuisances.
+    first = np.arange(len(model.family)) < len(problem.nuisances)
+    chosen = first | ((model.family != KNOWN) & (model.family != last))
+    left, moved_by = _moved_by_each(problem, candidate)
+    found = []
+    for number, (group, rows) in enumerate(problem.slices.items()):
+        scales = problem.usual_errors(number, candidate.weighed.scales)
+        own = model.slopes[rows][:, chosen]
+        covariance = (own * model.prior_variance(scales)[chosen]) @ own.T + np.eye(len(own))
+        for name, moved in moved_by.items():
+            seen = np.linalg.solve(covariance, moved[rows])
+            known_by = float(moved[rows] @ seen)
+            if known_by < DETECTION_SIGMA**2:
+                continue
+            share, error = 1 - float(left[rows] @ seen) / known_by, known_by**-0.5
+            if share + _SURELY * error < _LEAST_SHARE:
+                found.append(Refutation(name, group, share, error))
+    return tuple(found)
+
+
+def _moved_by_each(
+    problem: InferenceProblem, candidate: Candidate
+) -> tuple[Array, dict[str, Array]]:
+    """Return what a candidate leaves (n,) with all nuisances at 0, and what each effect changes.
+
+    In units of the noise.
+    """
+    nuisances, sizes = candidate.nuisances, candidate.sizes
+    bare = problem.parameters(nuisances)
+    whole = problem.residuals(with_effects(bare, candidate.effects, sizes))
+    counts = [len(located.sizes) for located in candidate.effects]
+    own = np.split(sizes, np.cumsum(counts)[:-1])
+    moved = {}
+    for number, located in enumerate(candidate.effects):
+        others = [each for k, each in enumerate(candidate.effects) if k != number]
+        left = np.concatenate([np.zeros(0), *(s for k, s in enumerate(own) if k != number)])
+        without = problem.residuals(with_effects(bare, others, left))
+        moved[located.effect.id] = problem.to_noise(whole - without)
+    slopes = candidate.estimate.jacobian[:, : len(nuisances)] * candidate.deviation[:, None]
+    return problem.to_noise(whole - slopes @ nuisances), moved
+
+
 def _sign(name: str, words: str, values: Array) -> PredictiveCheck:
     """Compare the first value with the others, which are drawn."""
     chance = (1 + np.count_nonzero(values[1:] >= values[0])) / len(values)
@@ -94,7 +175,7 @@ def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
     Each is drawn with scales of noise and nuisances of its own, as they may be before anything is
     measured. In units of the noise, before nuisances are fitted.
     """
-    model, form = candidate.model, candidate.weighed.form
+    model = candidate.model
     louder = np.abs(
         model.noise_freedom[:, None] * rng.standard_normal((len(model.noise_freedom), _DRAWS))
     )
@@ -103,7 +184,7 @@ def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
     scaled = model.family != KNOWN
     scale[scaled] = np.exp(wider[model.family[scaled]])
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (len(model.left), _DRAWS))
-    noise *= np.sqrt(np.exp(2 * louder[model.group]) + form[:, None])
+    noise *= np.sqrt(np.exp(2 * louder[model.group]) + np.exp(2 * wider[-1]) * model.form[:, None])
     left = model.slopes @ (scale * rng.standard_normal(scale.shape)) + noise
     return np.column_stack([model.left, left])
 

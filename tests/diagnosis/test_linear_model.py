@@ -20,17 +20,19 @@ def drawn(seed, families=(1.0, 1.0), noise=(1.0, 1.0, 1.0)):
     family, group = np.repeat([0, 1], Q // 2), np.repeat([0, 1, 2], N // 3)
     left = slopes @ (np.array(families)[family] * rng.standard_normal(Q))
     left = left + np.array(noise)[group] * rng.standard_normal(N)
-    return LinearModel(left, slopes, group, family, np.full(3, 0.5), np.full(2, 0.7))
+    # Of three families the last one, the form of effects, has no columns here.
+    freedoms = np.full(3, 0.5), np.full(3, 0.7)
+    return LinearModel(left, slopes, group, family, *freedoms, np.zeros(N))
 
 
 def test_evidence_is_that_of_a_gaussian() -> None:
-    model = drawn(1).with_columns(np.ones((N, 1)))
-    assert model.family[-1] == KNOWN
-    more = np.linspace(0, 2, N)
-    scales = Scales(np.array([0.0, 0.3, 0.1]), np.array([0.5, -0.4]))
-    found = weighed_at(model, scales, more)
+    form = np.linspace(0, 2, N)
+    model = drawn(1).with_form(np.cos(np.arange(N))[:, None], form).with_columns(np.ones((N, 1)))
+    assert list(model.family[-2:]) == [2, KNOWN]
+    scales = Scales(np.array([0.0, 0.3, 0.1]), np.array([0.5, -0.4, 0.6]))
+    found = weighed_at(model, scales)
     prior = np.append(np.exp(2 * scales.families)[model.family[:-1]], 1.0)
-    covariance = np.diag(np.exp(2 * scales.noise)[model.group] + more)
+    covariance = np.diag(np.exp(2 * scales.noise)[model.group] + np.exp(1.2) * form)
     covariance += (model.slopes * prior) @ model.slopes.T
     likelihood = multivariate_normal(np.zeros(N), covariance).logpdf(model.left)
     unusual = np.sum((scales.noise / 0.5) ** 2) + np.sum((scales.families / 0.7) ** 2)
@@ -41,12 +43,14 @@ def test_evidence_is_that_of_a_gaussian() -> None:
 
 @pytest.mark.parametrize("truth", [((1, 1), (1, 1, 1)), ((4, 0.5), (1, 2, 1))])
 def test_scales_are_the_likeliest(truth) -> None:
-    model = drawn(2, *truth)
+    model = drawn(2, *truth).with_form(np.cos(np.arange(N))[:, None], np.linspace(0, 20, N))
     found = weigh(model)
     assert np.all(found.scales.noise >= 0)
 
     def cost(x):
-        return -weighed_at(model, Scales(np.maximum(x[:3], 0), x[3:])).log_evidence
+        # The form has limits, two standard deviations of its log.
+        families = np.append(x[3:5], np.clip(x[5], -1.4, 1.4))
+        return -weighed_at(model, Scales(np.maximum(x[:3], 0), families)).log_evidence
 
     start = np.concatenate([found.scales.noise, found.scales.families])
     best = minimize(cost, start, method="Nelder-Mead", options={"fatol": 1e-6, "maxiter": 3000})
@@ -72,6 +76,26 @@ def test_what_nuisances_absorb_is_left_out() -> None:
     np.testing.assert_allclose(model.not_absorbed(across, model.usual), across, atol=1e-9)
 
 
+@pytest.mark.parametrize(("truth", "expected"), [(0.5, 0.5), (1.0, 1.0), (3.0, 3.0), (9.0, 4.06)])
+def test_how_far_forms_deviate_is_found(truth: float, expected: float) -> None:
+    """Of effects that move every number by thirty standard deviations of the noise.
+
+    It ends at two standard deviations of the log of the factor.
+    """
+    rng, seen = np.random.default_rng(5), np.full(N, 30.0)
+    found = []
+    for seed in range(20):
+        off = truth * 0.15 * seen * rng.standard_normal(N)
+        model = drawn(seed).moved(off).with_form(np.zeros((N, 0)), (0.15 * seen) ** 2)
+        found.append(weigh(model).scales.families[-1])
+    assert np.exp(np.mean(found)) == pytest.approx(expected, rel=0.1)
+
+
+def test_a_form_that_no_number_shows_is_as_expected() -> None:
+    model = drawn(6).with_form(np.full((N, 1), 1e-3), np.full(N, 1e-6))
+    assert weigh(model).scales.form == pytest.approx(1.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("leak", [0.0, 0.02, 0.1, 0.4])
 def test_a_scan_is_the_integral_over_all_strengths(leak: float) -> None:
     """Of an effect that is straight: an integral that can be computed strength by strength.
@@ -82,7 +106,7 @@ def test_a_scan_is_the_integral_over_all_strengths(leak: float) -> None:
     null = without_effects(problem, [np.zeros(1)])
     start = Start.without(problem, null.estimate)
     usual = weighed_at(start.model, start.model.usual)
-    start = Start(start.parameters, start.residuals, start.model, usual, start.sizes, start.form)
+    start = Start(start.parameters, start.residuals, start.model, usual, start.sizes)
     scan = scan_effect(problem, start, EFFECTS[0])
     (size,) = EFFECTS[0].sizes
     unit = problem.residuals(EFFECTS[0].change(start.parameters, {"size": 1.0}))

@@ -73,11 +73,15 @@ def measured(
     noise: float = 0.05,
     extra: float = 0.0,
     extra_clock: float = 0.0,
+    clock_truth: BenchParameters | None = None,
 ) -> InferenceProblem:
-    """Measure a bench; what is extra in lines or clocks no effect can make."""
+    """Measure a bench; what is extra in lines or clocks no effect can make.
+
+    The clocks may be those of another bench.
+    """
     rng = np.random.default_rng(seed)
     y = lines(truth) + noise * rng.standard_normal(COUNT) + extra * np.sign(np.sin(40 * AT))
-    y2 = clocks(truth) + noise * rng.standard_normal(20)
+    y2 = clocks(clock_truth or truth) + noise * rng.standard_normal(20)
     y2 += extra_clock * np.sign(np.sin(40 * AT[:20]))
     places = [
         Coordinates("line", band="low" if a < 0 else "high", time=f"t{int(4 * abs(a))}") for a in AT

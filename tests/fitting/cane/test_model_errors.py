@@ -299,13 +299,13 @@ def test_patterns_are_those_of_the_cane_that_is_found(reed, model, monkeypatch):
     """First of the cane of the population, then of that which was found with them."""
     seen = []
 
-    def kept(solver, bench, modes):
-        seen.append((bench.reed.cane, model_errors(solver, bench, modes)))
+    def kept(solver, bench, modes, known):
+        seen.append((bench.reed.cane, model_errors(solver, bench, modes, known)))
         return seen[-1][1]
 
     monkeypatch.setattr(fit_runs, "model_errors", kept)
     found = {Series.A: swept(model, np.zeros(11), components=Components(-1.0, 1.0, 1.5))}
-    parameters = _parameters(found, model, reed)
+    parameters = _parameters(found, model, reed, ())
     (middle, first), (own, second) = seen
     assert middle == BenchParameters().reed.cane
     before = fit_components(found, model, first).components

@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from diagnosis.experiment_design import RankedExperiment, rank_experiments
+from diagnosis.experiment_design import (
+    RankedExperiment,
+    Unseen,
+    rank_experiments,
+    unseen_effects,
+)
 from diagnosis.explained_fraction import (
     ExplainedFraction,
     GapInUnits,
@@ -81,6 +86,8 @@ class Diagnosis:
     selection : ModelSelection
     detectability : tuple of Detectability
         How well this campaign can detect each effect.
+    unseen : tuple of Unseen
+        Effects that it cannot detect at any size, and what would.
     unknown_with, unknown_in : str
         Where something unknown is likeliest: in addition to which effect, pair or none, and in
         which group of observables.
@@ -118,6 +125,7 @@ class Diagnosis:
     gap: GapMap
     selection: ModelSelection
     detectability: tuple[Detectability, ...]
+    unseen: tuple[Unseen, ...]
     unknown_with: str
     unknown_in: str
     checks: tuple[PredictiveCheck, ...]
@@ -230,6 +238,7 @@ def _judged(
         gap=gap_map(problem),
         selection=found,
         detectability=reach,
+        unseen=tuple(unseen_effects(problem, found.null, effects, reach)),
         unknown_with=unknown_with,
         unknown_in=_likeliest_group(problem, found.candidate(unknown_with) or found.null),
         checks=predictive_checks(problem, named_or_none, _only(problem, condition)),

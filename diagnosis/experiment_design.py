@@ -1,15 +1,20 @@
-"""Experiments that separate two candidates, ranked by expected information per minute."""
+"""Experiments that separate two candidates, or show an effect that a campaign cannot show."""
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.effect_scan import locations_of
 from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
+from diagnosis.inference.similarity import DETECTION_SIGMA, Detectability
 from diagnosis.observable_groups import ObservableGroup
+from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
 from physics.mechanics import TipMass
 from physics.parameters.tree import BenchParameters, more, with_alteration, with_part
@@ -198,6 +203,10 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
 )
 
 
+# An experiment that gives fewer nats each time shows nothing: it would take it hundreds of times.
+_LEAST_NATS = 0.05
+
+
 def rank_experiments(
     problem: InferenceProblem,
     one: Candidate,
@@ -212,18 +221,106 @@ def rank_experiments(
     one, other : Candidate
     """
     models = one.parameters(problem), other.parameters(problem)
+    worths = _worths(problem, one, models, experiments)
+    return sorted(worths, key=lambda worth: -worth.nats_per_minute)
+
+
+def _worths(
+    problem: InferenceProblem,
+    candidate: Candidate,
+    models: tuple[BenchParameters, BenchParameters],
+    experiments: Sequence[Experiment],
+) -> Iterator[RankedExperiment]:
+    """Yield what experiments are worth that measure something and leave a reed."""
     by_name = {block.name: block for block in problem.groups}
-    worths = []
     for action in experiments:
         chosen = [by_name[name] for name in action.groups if name in by_name]
         if not chosen:
             continue
-        try:
-            nats = sum(_expected_nats(problem, block, one, models, action) for block in chosen)
-        except ImpossibleReedError:
+        with contextlib.suppress(ImpossibleReedError):
+            nats = sum(
+                _expected_nats(problem, block, candidate, models, action) for block in chosen
+            )
+            yield RankedExperiment(action, nats, nats / action.minutes)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """An effect that a campaign could not show at any size, and what it would take to show it.
+
+    Attributes
+    ----------
+    effect : str
+    deviations : float
+        By how many standard deviations it would show in the campaign, at its largest size.
+    experiment : Experiment or None
+        What shows it soonest; None if nothing that is known here does.
+    times : int
+        How often; 0 without an experiment.
+    """
+
+    effect: str
+    deviations: float
+    experiment: Experiment | None
+    times: int
+
+    @property
+    def minutes(self) -> float:
+        """Bench time; 0 without an experiment."""
+        return self.times * self.experiment.minutes if self.experiment else 0.0
+
+
+def unseen_effects(
+    problem: InferenceProblem,
+    null: Candidate,
+    effects: Sequence[Effect],
+    reach: Sequence[Detectability],
+    experiments: Sequence[Experiment] = EXPERIMENTS,
+) -> list[Unseen]:
+    """Return effects that would not show at their largest sizes, and what would show them.
+
+    Parameters
+    ----------
+    problem : InferenceProblem
+    null : Candidate
+        Without effects.
+    effects : sequence of Effect
+    reach : sequence of Detectability
+        How well the campaign detects each of them.
+    """
+    found = []
+    for effect, own in zip(effects, reach, strict=True):
+        deviations = max(
+            (DETECTION_SIGMA * size.most / own.detectable[size.name]
+             for size in effect.sizes if size.most), default=0.0,
+        )  # fmt: skip
+        if deviations < DETECTION_SIGMA:
+            experiment, times = _soonest(problem, null, effect, experiments)
+            found.append(Unseen(effect.id, deviations, experiment, times))
+    return found
+
+
+def _soonest(
+    problem: InferenceProblem, null: Candidate, effect: Effect, experiments: Sequence[Experiment]
+) -> tuple[Experiment | None, int]:
+    """Return the experiment that shows an effect of the largest size soonest, and how often."""
+    bare, places = null.parameters(problem), list(locations_of(effect))
+    located, best, times = places[len(places) // 2], None, 0
+    for number, size in enumerate(effect.sizes):
+        if not size.most:
             continue
-        worths.append(RankedExperiment(action, nats, nats / action.minutes))
-    return sorted(worths, key=lambda worth: -worth.nats_per_minute)
+        sizes = np.zeros(len(effect.sizes))
+        sizes[number] = size.most / size.scale
+        with contextlib.suppress(ImpossibleReedError):
+            models = bare, located.change(bare, sizes)
+            for worth in _worths(problem, null, models, experiments):
+                if worth.expected_nats < _LEAST_NATS:
+                    continue
+                often = math.ceil(DETECTION_SIGMA**2 / 2 / worth.expected_nats)
+                minutes = often * worth.experiment.minutes
+                if best is None or minutes < times * best.minutes:
+                    best, times = worth.experiment, often
+    return best, times
 
 
 def _expected_nats(

@@ -43,6 +43,15 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
             ],
         },
         "effects": _effects(verdict),
+        "unseen": {
+            each.effect: {
+                "deviations": each.deviations,
+                "experiment": each.experiment.id if each.experiment else None,
+                "times": each.times,
+                "minutes": each.minutes,
+            }
+            for each in verdict.unseen
+        },
         "pairs": {
             name: {
                 "log_bayes": _finite(candidate.log_evidence - verdict.selection.null.log_evidence),

@@ -236,6 +236,7 @@ def document(verdict: Diagnosis, title: str, runs: Sequence[str] = ()) -> str:
             f"How much each measurement is expected to help to decide between {between}.",
         ),
         _Section("What these runs could have shown", (_detectability(verdict),)),
+        _unseen(verdict),
         _Section("How far the errors can be trusted", (_floor(verdict),), _floor_words(verdict)),
     )
     return render(
@@ -424,6 +425,32 @@ def _floor(verdict: Diagnosis) -> Table:
         (f.group, f.count, f.replicates, f.scatter, f.chance, f.factor) for f in verdict.floor
     )
     return Table(columns, rows)
+
+
+def _unseen(verdict: Diagnosis) -> _Section:
+    """Return the effects that would not show at any size, and what would show them."""
+    title = "What it would take to see what these runs cannot show"
+    if not verdict.unseen:
+        return _Section(title, (), "Every effect would show in these runs at its largest size.")
+    columns = (
+        Column("effect", "effect"),
+        Column("deviations", "shows here by", "standard errors", ".1f",
+               "at the largest size that a bench can have; five would show"),
+        Column("action", "measurement that shows it soonest"),
+        Column("times", "times", "", "d"),
+        Column("minutes", "time", "min", ".0f"),
+    )  # fmt: skip
+    rows = tuple(
+        (
+            _title(each.effect),
+            each.deviations,
+            each.experiment.description if each.experiment else "none of those known here",
+            each.times,
+            each.minutes,
+        )
+        for each in verdict.unseen
+    )
+    return _Section(title, (Table(columns, rows),))
 
 
 def _detectability(verdict: Diagnosis) -> Table:

@@ -20,9 +20,15 @@ from diagnosis.campaign_diagnosis import (
     diagnose_problem,
 )
 from diagnosis.effect_notes import notes_of
-from diagnosis.experiment_design import Experiment, RankedExperiment, rank_experiments
+from diagnosis.experiment_design import (
+    Experiment,
+    RankedExperiment,
+    rank_experiments,
+    unseen_effects,
+)
 from diagnosis.explained_fraction import gaps_in_units
 from diagnosis.gap_map import LadderStep
+from diagnosis.inference.model_selection import each_alone, signatures_of
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.inference.similarity import DETECTION_SIGMA, confusable_classes, detectability_of
@@ -383,6 +389,34 @@ def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
     apart = lines.predict(slope.parameters(problem)) - lines.predict(bump.parameters(problem))
     most = 0.5 * float(np.sum((apart / 0.05) ** 2))
     assert 0.2 * most < by_id["known"].expected_nats < most
+
+
+def test_what_would_show_an_effect_that_is_too_small() -> None:
+    """A slope of at most 0.02: five of 60 numbers' standard errors need 2.8 of it."""
+    problem, null = measured(3, bench()), fitted(measured(3, bench()))
+    (size,) = EFFECTS[0].parameters
+    small = replace(EFFECTS[0], parameters=(replace(size, most=0.02),))
+    effects = (small, EFFECTS[1], EFFECTS[3])
+    alone = each_alone(problem, null, effects)
+    reach = detectability_of(effects, signatures_of(null, alone))
+
+    def same(parameters: BenchParameters) -> BenchParameters:
+        return parameters
+
+    repeat = Experiment("repeat", "", 10.0, ("lines", "clocks"), same)
+    sharp = Experiment("sharp", "", 30.0, ("lines",), same, sd_factor=0.1)
+    slope, nothing = unseen_effects(problem, null, effects, reach, (repeat, sharp))
+    assert (slope.effect, nothing.effect) == ("slope", "nothing")
+    expected = 0.02 * np.sqrt(np.sum(AT**2) + 0.09 * np.sum(AT[:20] ** 2)) / 0.05
+    assert slope.deviations == pytest.approx(expected, rel=0.02)
+    # A hundred times the nats, but for what the level is uncertain by.
+    assert (slope.experiment, slope.times, slope.minutes) == (sharp, 1, 30.0)
+    again = unseen_effects(problem, null, effects, reach, (repeat,))[0]
+    assert again.times == pytest.approx(25 / expected**2, abs=1.0)
+    assert again.minutes == 10.0 * again.times
+    # It changes nothing, whatever is done.
+    assert (nothing.experiment, nothing.times, nothing.minutes) == (None, 0, 0.0)
+    assert nothing.deviations == 0.0
 
 
 def test_a_class_holds_similar_effects_and_the_detectable_size_is_five_deviations() -> None:

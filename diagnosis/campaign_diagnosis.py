@@ -222,6 +222,7 @@ def _judged(
     shown = _likely(found.probability_of_what_shows, classes)
     first, second = _two_likeliest(found)
     groups, condition = _groups(problem), summary.condition
+    left_out = _only(problem, condition)
     chosen = found.candidate("+".join(named)) or _best_alone(found)
     acts = _touched(problem, found.null, chosen)
     named_or_none = chosen if named else found.null
@@ -241,15 +242,13 @@ def _judged(
         unseen=tuple(unseen_effects(problem, found.null, effects, reach)),
         unknown_with=unknown_with,
         unknown_in=_likeliest_group(problem, found.candidate(unknown_with) or found.null),
-        checks=predictive_checks(problem, named_or_none, _only(problem, condition)),
+        checks=predictive_checks(problem, named_or_none, left_out),
         floor=floor_certificate(problem, named_or_none),
         explained_with=chosen.names,
         explained=explained_fraction(found.null, chosen, _where(groups, acts)),
-        explained_other_sweep=(
-            explained_fraction(found.null, chosen, _where(_only(problem, condition), acts))
-            if condition
-            else None
-        ),
+        explained_other_sweep=explained_fraction(found.null, chosen, _where(left_out, acts))
+        if condition
+        else None,
         explained_by={
             name: explained_fraction(found.null, candidate, groups)
             for name, candidate in _better(found).items()
@@ -257,10 +256,8 @@ def _judged(
         gaps_in_units=tuple(gaps_in_units(problem, found.null, chosen)),
         known=known_gap(problem, found.null, summary.foreseen) if problem.known else None,
         condition=condition,
-        next_experiments=tuple(rank_experiments(problem, first, second))
-        if first and second
-        else (),
-        compared=(_name(first), _name(second)),
+        next_experiments=tuple(rank_experiments(problem, first, second) if second else ()),
+        compared=(_name(first), _name(second)) if second else ("", ""),
         missing=summary.missing,
         refused=summary.refused,
     )
@@ -355,15 +352,15 @@ def _best_alone(found: ModelSelection) -> Candidate:
     )
 
 
-def _two_likeliest(found: ModelSelection) -> tuple[Candidate | None, Candidate | None]:
-    """Likeliest two of no effect, each by itself, and pairs."""
+def _two_likeliest(found: ModelSelection) -> tuple[Candidate, Candidate | None]:
+    """Likeliest two of no effect, each by itself, and pairs; None if no effect was fitted."""
     candidates = {NONE: found.null, **found.single, **found.pairs}
     ranked = sorted(candidates, key=lambda name: -found.log_probability[name])
-    return (candidates[ranked[0]], candidates[ranked[1]]) if len(ranked) > 1 else (None, None)
+    return candidates[ranked[0]], candidates[ranked[1]] if len(ranked) > 1 else None
 
 
-def _name(candidate: Candidate | None) -> str:
-    return "" if candidate is None else "+".join(candidate.names) or NONE
+def _name(candidate: Candidate) -> str:
+    return "+".join(candidate.names) or NONE
 
 
 def _mass(

@@ -22,7 +22,7 @@ from diagnosis.explained_fraction import (
     explained_fraction,
     gaps_in_units,
 )
-from diagnosis.floor_certificate import Floor, floor_certificate
+from diagnosis.floor_certificate import Floor, certified, floor_certificate
 from diagnosis.gap_map import GapMap, gap_map
 from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies
@@ -34,6 +34,7 @@ from diagnosis.inference.model_selection import (
     select_model,
 )
 from diagnosis.inference.nuisances import NUISANCES, USUAL_COMPLIANCE_M_PA
+from diagnosis.inference.null_starts import starts_without_effects
 from diagnosis.inference.predictive_checks import PredictiveCheck, predictive_checks
 from diagnosis.inference.probabilities import NONE, UNKNOWN
 from diagnosis.inference.problem import InferenceProblem
@@ -210,7 +211,8 @@ def _judged(
     without: Sequence[str],
 ) -> Diagnosis:
     effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
-    found = select_model(problem, effects, progress)
+    problem, null, inflated = _certified(problem)
+    found = select_model(problem, effects, progress, null)
     reach = detectability_of(effects, found.signatures)
     classes = confusable_classes(reach)
     for _ in range(_MOST_CONFIRMED):
@@ -243,7 +245,7 @@ def _judged(
         unknown_with=unknown_with,
         unknown_in=_likeliest_group(problem, found.candidate(unknown_with) or found.null),
         checks=predictive_checks(problem, named_or_none, left_out),
-        floor=floor_certificate(problem, named_or_none),
+        floor=floor_certificate(problem, named_or_none, inflated),
         explained_with=chosen.names,
         explained=explained_fraction(found.null, chosen, _where(groups, acts)),
         explained_other_sweep=explained_fraction(found.null, chosen, _where(left_out, acts))
@@ -261,6 +263,17 @@ def _judged(
         missing=summary.missing,
         refused=summary.refused,
     )
+
+
+def _certified(
+    problem: InferenceProblem,
+) -> tuple[InferenceProblem, Candidate, dict[str, float]]:
+    """Return the problem with errors as large as replicates scatter, its fit, and the factors."""
+    null = without_effects(problem, starts_without_effects(problem))
+    other, inflated = certified(problem, null)
+    if inflated:
+        null = without_effects(other, [null.nuisances, np.zeros(len(null.nuisances))])
+    return other, null, inflated
 
 
 def _likeliest_group(problem: InferenceProblem, candidate: Candidate) -> str:

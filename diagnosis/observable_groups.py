@@ -6,7 +6,7 @@ Gaussian; how large noise and amounts are is itself known within a factor only.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
@@ -183,6 +183,15 @@ def observable_group(
     return ObservableGroup(
         name, tap, numbers, covariance, tuple(places), tuple(parts), predict,
         _whitening(covariance), _whitening(noise), errors,
+    )  # fmt: skip
+
+
+def with_noise(group: ObservableGroup, factor: float) -> ObservableGroup:
+    """Return a group whose noise is larger by a factor."""
+    noise = group.errors.noise * (factor if group.errors.noise.ndim == 1 else factor**2)
+    return observable_group(
+        group.name, group.tap, group.values, replace(group.errors, noise=noise),
+        group.coordinates, group.parts, group.predict,
     )  # fmt: skip
 
 

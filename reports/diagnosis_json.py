@@ -8,6 +8,7 @@ import numpy as np
 
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.explained_fraction import ExplainedFraction, KnownGap
+from diagnosis.floor_certificate import Floor
 from diagnosis.inference.candidates import d_prime
 from physics.effects.effect import Parameter
 
@@ -68,13 +69,16 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
             "group": verdict.unknown_in,
             "checks": [asdict(t) | {"significant": t.significant} for t in verdict.checks],
         },
-        "floor": [
-            asdict(floor) | {"scatter": _finite(floor.scatter), "trusted": floor.trusted}
-            for floor in verdict.floor
-        ],
+        "floor": [_floor(floor) for floor in verdict.floor],
         "missing": list(verdict.missing),
         "refused": list(verdict.refused),
     }
+
+
+def _floor(floor: Floor) -> dict[str, Any]:
+    fields = "scatter", "even_scatter", "order_chance"
+    numbers = {name: _finite(getattr(floor, name)) for name in fields}
+    return asdict(floor) | numbers | {"trusted": floor.trusted}
 
 
 def _likeliest_first(probability: Mapping[str, float]) -> dict[str, float]:

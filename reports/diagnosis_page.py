@@ -9,6 +9,7 @@ from typing import Final
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.effect_notes import notes_of
 from diagnosis.explained_fraction import ExplainedFraction, GapInUnits, KnownGap
+from diagnosis.floor_certificate import Floor
 from diagnosis.gap_map import GapMap
 from diagnosis.observable_groups import Observable
 from physics.effects.catalogue import BY_ID
@@ -398,17 +399,23 @@ def _floor_words(verdict: Diagnosis) -> str:
     )
     if not doubtful:
         return f"{repeated} groups of observables scatter as their errors say.{unchecked}"
-    # The sign that is worse: repeated numbers, or what the whole group has left.
-    said = "; ".join(
-        f"{floor.group} (repeated numbers scatter {floor.scatter:.1f} times as much)"
-        if floor.scatter > floor.factor
-        else f"{floor.group} (noise {floor.factor:.1f} times as large)"
-        for floor in doubtful
-    )
+    said = "; ".join(f"{floor.group} ({_doubt(floor)})" for floor in doubtful)
     return (
         f"Groups that scatter more than their errors say, and count less for that: {said}."
         + unchecked
     )
+
+
+def _doubt(floor: Floor) -> str:
+    """Return why a group is not trusted: what is worst of errors, repeated numbers, and the fit."""
+    if floor.inflated > 1:
+        return (
+            f"repeated numbers scattered {floor.inflated:.1f} times as much, in no order; errors "
+            "were made as large before any cause was tried"
+        )
+    if floor.scatter > floor.factor:
+        return f"repeated numbers scatter {floor.scatter:.1f} times as much"
+    return f"noise {floor.factor:.1f} times as large"
 
 
 def _floor(verdict: Diagnosis) -> Table:
@@ -419,10 +426,16 @@ def _floor(verdict: Diagnosis) -> Table:
         Column("scatter", "scatter", "", ".2f",
                "of repeated numbers around what is named, divided by what their errors predict"),
         Column("chance", "by chance", "", ".1%", "probability of so much scatter by chance"),
+        Column("order_chance", "in any order", "", ".0%",
+               "share of permutations in time in which repeated numbers are as smooth; drifts are "
+               "smoother than nearly all of them"),
+        Column("inflated", "errors times", "", ".2f",
+               "by how much errors were increased before any cause was tried"),
         Column("factor", "noise times", "", ".2f", "by how much the fit increased the noise"),
     )  # fmt: skip
     rows = tuple(
-        (f.group, f.count, f.replicates, f.scatter, f.chance, f.factor) for f in verdict.floor
+        (f.group, f.count, f.replicates, f.scatter, f.chance, f.order_chance, f.inflated, f.factor)
+        for f in verdict.floor
     )
     return Table(columns, rows)
 

@@ -114,6 +114,7 @@ def select_model(
     problem: InferenceProblem,
     effects: Sequence[Effect],
     progress: Callable[[float], None] | None = None,
+    null: Candidate | None = None,
 ) -> ModelSelection:
     """Fit all candidates, and weigh them by evidence and prior.
 
@@ -123,10 +124,12 @@ def select_model(
     effects : sequence of Effect
     progress : callable, optional
         Called with the fraction that is done.
+    null : Candidate, optional
+        The fit without effects, if it is known.
     """
     report = progress or (lambda _share: None)
     count = len(effects)
-    null = without_effects(problem, starts_without_effects(problem))
+    null = null or without_effects(problem, starts_without_effects(problem))
     report(0.2)
     alone = each_alone(problem, null, effects)
     report(0.5)

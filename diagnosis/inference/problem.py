@@ -78,8 +78,17 @@ class InferenceProblem:
 
     def without_known(self) -> "InferenceProblem":
         """Return the same problem for a bench of which no effect is known."""
+        return InferenceProblem(self.groups, self.base, self._of_bench)
+
+    def with_groups(self, groups: Sequence[ObservableGroup]) -> "InferenceProblem":
+        """Return the same problem for other groups of observables."""
+        return InferenceProblem(groups, self.base, self._of_bench, self.known)
+
+    @property
+    def _of_bench(self) -> tuple[Nuisance, ...]:
+        """Nuisances that are no sizes of known effects."""
         count = len(self.nuisances) - sum(len(effect.uncertain) for effect in self.known)
-        return InferenceProblem(self.groups, self.base, self.nuisances[:count])
+        return self.nuisances[:count]
 
     def residuals(self, parameters: BenchParameters, near: BenchParameters | None = None) -> Array:
         """Return the whitened residuals (n,): model less measurement.

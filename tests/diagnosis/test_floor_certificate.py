@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.campaign_diagnosis import CampaignSummary, diagnose_problem
-from diagnosis.floor_certificate import Floor, floor_certificate
+from diagnosis.floor_certificate import Floor, certified, floor_certificate
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from physics.parameters.tree import BenchParameters
@@ -91,10 +91,97 @@ def test_a_deviation_from_the_form_of_an_effect_is_no_scatter() -> None:
     assert floor_certificate(other, plain)[0].chance < 1e-6
 
 
+def drifting(per_sweep: float) -> InferenceProblem:
+    """The same modes, of which all drift from sweep to sweep."""
+    problem = repeated(1.0)
+    (modes, clock), drift = problem.groups, per_sweep * np.repeat(np.arange(6.0), 4)
+    moved = replace(modes, values=modes.values + drift)
+    return InferenceProblem([moved, clock], problem.base, problem.nuisances)
+
+
+def test_errors_that_are_too_small_are_made_larger_before_any_cause_is_tried() -> None:
+    problem = repeated(3.0)
+    other, factors = certified(problem, fitted(problem))
+    assert list(factors) == ["modes"]
+    # The least if any one sweep is left out.
+    assert factors["modes"] == pytest.approx(2.8, rel=3 / np.sqrt(2 * 16))
+    modes, clock = other.groups
+    np.testing.assert_allclose(modes.errors.noise, factors["modes"])
+    np.testing.assert_allclose(modes.covariance, factors["modes"] ** 2 * np.eye(24))
+    assert clock is problem.groups[1]
+    assert floor_certificate(other, fitted(other))[0].scatter == pytest.approx(1.0, abs=0.15)
+
+
+def test_errors_that_are_right_stay() -> None:
+    problem = repeated(1.0)
+    other, factors = certified(problem, fitted(problem))
+    assert factors == {}
+    assert other is problem
+
+
+def test_a_drift_is_no_noise() -> None:
+    """An effect may make it; errors that are made larger would hide that."""
+    problem = drifting(2.0)
+    found = floors_of(problem)["modes"]
+    assert found.chance < 1e-6
+    assert found.order_chance < 0.05
+    assert not found.too_small
+    assert certified(problem, fitted(problem))[1] == {}
+
+
+def test_one_sweep_that_is_off_is_no_noise() -> None:
+    problem = repeated(1.0)
+    (modes, clock), off = problem.groups, np.where(np.arange(24) // 4 == 3, 9.0, 0.0)
+    other = problem.with_groups([replace(modes, values=modes.values + off), clock])
+    found = floors_of(other)["modes"]
+    assert found.chance < 1e-6
+    assert found.in_no_order
+    assert found.even_chance > 0.01
+    assert certified(other, fitted(other))[1] == {}
+
+
+def test_order_chances_are_evenly_distributed_where_there_is_no_order() -> None:
+    found = [floors_of(repeated(1.0, seed=seed))["modes"].order_chance for seed in range(60)]
+    chances = np.sort(found)
+    assert np.abs(chances - (np.arange(60) + 0.5) / 60).max() < 1.63 / np.sqrt(60)
+
+
+def test_few_times_have_no_order() -> None:
+    """Lines have five times, clocks none."""
+    problem = measured(3, bench())
+    lines, clocks = floor_certificate(problem, fitted(problem))
+    assert (lines.times, clocks.times) == (5, 0)
+    assert 2 / 120 <= lines.order_chance <= 1
+    assert np.isnan(clocks.order_chance)
+    assert not clocks.too_small
+
+
+def test_a_bench_that_scatters_more_is_no_reason_for_an_alarm() -> None:
+    """Clocks are read in six sweeps and scatter three times as much as their errors say."""
+    alarms, inflated = 0, 0
+    for seed in range(12):
+        problem = measured(seed, bench())
+        rng = np.random.default_rng(100 + seed)
+        lines, clocks = problem.groups
+        loud = replace(
+            clocks,
+            values=clocks.values + 0.14 * rng.standard_normal(20),
+            coordinates=tuple(Coordinates("clock", time=f"sweep {k}") for k in range(20)),
+        )
+        verdict = diagnose_problem(problem.with_groups([lines, loud]), CampaignSummary(""))
+        floors = {floor.group: floor for floor in verdict.floor}
+        assert not floors["clocks"].trusted
+        inflated += floors["clocks"].inflated > 1.8
+        alarms += verdict.kind != "none"
+    # One in twenty is as smooth as a drift by chance, and then has its errors as they were.
+    assert alarms <= 1
+    assert inflated >= 11
+
+
 def test_page_and_json_name_groups_that_are_not_trusted() -> None:
     verdict = diagnose_problem(measured(3, bench(leak=0.3)), CampaignSummary("t3"))
     assert [floor["group"] for floor in to_json(verdict)["floor"]] == ["lines", "clocks"]
     assert all(floor["trusted"] for floor in to_json(verdict)["floor"])
-    bad = Floor("lines", 60, 52, 2.46, 1e-9, 1.9)
+    bad = Floor("lines", 60, 52, 2.46, 1e-9, 4, 2.4, 1e-9, 0.01, 1.9)
     page = document(replace(verdict, floor=(bad, *verdict.floor[1:])), "A reed")
     assert "lines (repeated numbers scatter 2.5 times as much)" in page

@@ -62,6 +62,8 @@ _LEAST_SIMILARITY = 0.5
 # Number of points of the reed that the library is given.
 _PEER_POINTS = 60
 _METHODS = ("joint", "picture", LIBRARY)
+# More bad steps in a row than a sweep has.
+_NEVER = 10_000
 
 
 @dataclass(frozen=True)
@@ -226,10 +228,15 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
 # --- Nothing to be identified ------------------------------------------------------------------
 
 
+def _still() -> Protocol:
+    """Return a protocol with next to no volts: as if the loudspeaker were not connected."""
+    drive = {"law": "ramp", "from": "1e-6 V", "to": "3.2e-5 V", "first": 1, "last": 73}
+    return Protocol.from_file("seriesA").replace(drive=drive)
+
+
 def _still_run(path: Path) -> None:
-    """Sweep with next to no volts: as if the loudspeaker were not connected."""
-    still = {"law": "ramp", "from": "1e-6 V", "to": "3.2e-5 V", "first": 1, "last": 73}
-    _sweep(path, Protocol.from_file("seriesA").replace(drive=still), None)
+    """Sweep a still reed: the run gives up after some steps without light."""
+    _sweep(path, _still(), None)
 
 
 def _wrong_kind_run(path: Path) -> None:
@@ -239,7 +246,9 @@ def _wrong_kind_run(path: Path) -> None:
 
 def _noise_run(path: Path) -> None:
     """Sweep a still reed, and call every step good: all there is in the holograms is noise."""
-    _still_run(path)
+    still = _still()
+    patient = still.policy.model_copy(update={"give_up_after": _NEVER})
+    _sweep(path, still.replace(policy=patient), None)
     with h5py.File(path, "r+") as file:
         file["entry/steps/verdict"][...] = b"ok"
 

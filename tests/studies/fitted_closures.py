@@ -15,12 +15,12 @@ OPEN = {
     "hardening_nonlinearity": "fits give part of a shift by amplitude to the drive: T1 at 51 rad",
     "defocus": "no observable expects that the image moves by 1.2 mm",
     "laser_mode_hop": "fits give a sixteenth of a step of the light to the vibration",
-    "coarse_mesh": "the loss of X1 is found 1 % too low, 3.2 standard errors",
-    "second_acoustic_resonance": "misfit looks like lost contrast, 12 times its stated error",
-    "tweeter_compression": "fits give half of the step of the drive at 4 kHz to participations",
-    "density": "fits exchange 10 % between drive and participations: 5 errors given the others",
-    "transverse_shear": "the share of X2 in F3 changes twice as much as predicted, 3.6 errors",
-    "sideband_crosstalk": "fits know no next sideband: the loss of F1 doubles in a quiet sweep",
+    "coarse_mesh": "the loss of F3 is found 2 % too high, 3.3 standard errors",
+    "viscoelastic_stiffening": "losses of F3, X2, X3 grow by 1.5 % more than predicted, 3.1 errors",
+    "density": "fits exchange drive and participations below 4 kHz: 3.3 errors given the others",
+    "tip_mass": "fits exchange drive and participations near T3: 3.7 errors given the others",
+    "acoustic_resonance": "fits share the step at the line with participations: 3.0 errors",
+    "sideband_crosstalk": "fits know no next sideband, whose light they take for drive: 9.2 errors",
 }
 
 

@@ -32,8 +32,8 @@ _UNUSUAL = 2.0
 # Chosen: larger errors hide what drifts do. Two of few permutations, an order and its reverse, may
 # be more.
 _MEMORY = 0.05
-# Fewer times have too few permutations to tell. Of more than the second number of times, so many
-# permutations are drawn.
+# Fewer times than the first number have too few permutations to tell. Of more than the second, the
+# third number of permutations is drawn.
 _LEAST_TIMES, _MOST_TIMES, _DRAWN, _SEED = 4, 6, 999, 1
 
 

@@ -21,7 +21,7 @@ from diagnosis.inference.estimation import (
     fit,
     posterior_covariance,
 )
-from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
+from diagnosis.inference.linear_model import LinearModel, Weighed, weigh, weighed_at
 from diagnosis.inference.problem import (
     FORM,
     STEP,
@@ -368,7 +368,7 @@ def start_with(problem: InferenceProblem, candidate: Candidate) -> Start:
     model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
     model = _with_sizes(problem, model, slopes, candidate.sizes)
     weighed = weigh(model, candidate.weighed.scales)
-    return Start(parameters, residuals, model, weighed, np.zeros(0))
+    return Start(parameters, residuals, model, weighed, np.zeros(0), weighed)
 
 
 def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate) -> Start | None:
@@ -383,7 +383,8 @@ def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate)
     model = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
     seen = _seen(problem, slopes[:, :p], slopes[:, p + others :] @ sizes[others:])
     weighed = weigh(problem.with_form(model, seen), candidate.weighed.scales)
-    return Start(before, found.residuals, model, weighed, sizes[others:])
+    bare = weighed_at(model, weighed.scales)
+    return Start(before, found.residuals, model, weighed, sizes[others:], bare)
 
 
 def _with_sizes(

@@ -61,6 +61,8 @@ class Start:
         With the likeliest scales.
     sizes : (s,) float
         Sizes of the effect; all 0 where it is added.
+    bare : Weighed
+        The same without the form of this effect: what shows does so in whatever form.
     """
 
     parameters: BenchParameters
@@ -68,13 +70,15 @@ class Start:
     model: LinearModel
     weighed: Weighed
     sizes: Array
+    bare: Weighed
 
     @classmethod
     def without(cls, problem: InferenceProblem, found: MapEstimate) -> "Start":
         """Return the model without effects, as it was fitted."""
         model = problem.linear_model(found.residuals, found.jacobian, found.z)
         parameters = problem.parameters(found.z)
-        return cls(parameters, found.residuals, model, weigh(model), np.zeros(0))
+        weighed = weigh(model)
+        return cls(parameters, found.residuals, model, weighed, np.zeros(0), weighed)
 
 
 @dataclass(frozen=True)
@@ -307,7 +311,7 @@ class _Swept:
 
     def deviations(self, shares: Array) -> Array:
         """Return by how many standard deviations such shares (k,) move all numbers together."""
-        P, moved = self.line.start.weighed.precision, self.moved(shares) - self.moved([0.0])
+        P, moved = self.line.start.bare.precision, self.moved(shares) - self.moved([0.0])
         squares = np.einsum("nk,nk->k", moved, P @ moved)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 

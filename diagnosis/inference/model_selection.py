@@ -187,7 +187,9 @@ def each_alone(
 ) -> dict[str, Candidate]:
     """Return the candidates with one effect, by identifier."""
     residuals = null.estimate.residuals
-    start = Start(null.parameters(problem), residuals, null.model, null.weighed, np.zeros(0))
+    start = Start(
+        null.parameters(problem), residuals, null.model, null.weighed, np.zeros(0), null.weighed
+    )
     each = map_processes(partial(search_alone, problem, start, null), effects)
     return {
         effect.id: found for effect, found in zip(effects, each, strict=True) if found is not None

@@ -106,7 +106,7 @@ def test_a_scan_is_the_integral_over_all_strengths(leak: float) -> None:
     null = without_effects(problem, [np.zeros(1)])
     start = Start.without(problem, null.estimate)
     usual = weighed_at(start.model, start.model.usual)
-    start = Start(start.parameters, start.residuals, start.model, usual, start.sizes)
+    start = Start(start.parameters, start.residuals, start.model, usual, start.sizes, usual)
     scan = scan_effect(problem, start, EFFECTS[0])
     (size,) = EFFECTS[0].sizes
     unit = problem.residuals(EFFECTS[0].change(start.parameters, {"size": 1.0}))

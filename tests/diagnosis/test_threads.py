@@ -16,7 +16,7 @@ def threads():
 
 
 def test_effects_are_tried_on_one_thread(monkeypatch):
-    monkeypatch.setattr(campaign_diagnosis, "select_model", count_threads)
+    monkeypatch.setattr(campaign_diagnosis, "starts_without_effects", count_threads)
     with pytest.raises(ReachedError) as reached:
         campaign_diagnosis.diagnose_problem(SimpleNamespace(), campaign_diagnosis.CampaignSummary())
     assert reached.value.args == (1,)

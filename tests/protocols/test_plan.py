@@ -206,6 +206,7 @@ def test_json_keys_and_exact_strings(series_a):
         "protocol", "reed", "bench", "steps", "duration_s", "file_size_bytes",
         "largest_size_bytes", "packed_size_bytes",
         "violations",
+        "known",
     }  # fmt: skip
     first = content["steps"][0]
     assert list(first) == [

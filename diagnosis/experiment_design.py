@@ -203,8 +203,9 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
 )
 
 
-# An experiment that gives fewer nats each time shows nothing: it would take it hundreds of times.
-_LEAST_NATS = 0.05
+# Measurements that would change the log odds by less, in nats, decide nothing: 0.05 nats change
+# even odds from 50 to 51 %.
+LEAST_NATS: Final = 0.05
 
 
 def rank_experiments(
@@ -314,7 +315,7 @@ def _soonest(
         with contextlib.suppress(ImpossibleReedError):
             models = bare, located.change(bare, sizes)
             for worth in _worths(problem, null, models, experiments):
-                if worth.expected_nats < _LEAST_NATS:
+                if worth.expected_nats < LEAST_NATS:
                     continue
                 often = math.ceil(DETECTION_SIGMA**2 / 2 / worth.expected_nats)
                 minutes = often * worth.experiment.minutes

@@ -8,6 +8,7 @@ from typing import Final
 
 from diagnosis.campaign_diagnosis import Diagnosis
 from diagnosis.effect_notes import notes_of
+from diagnosis.experiment_design import LEAST_NATS
 from diagnosis.explained_fraction import ExplainedFraction, GapInUnits, KnownGap
 from diagnosis.floor_certificate import Floor
 from diagnosis.gap_map import GapMap
@@ -38,9 +39,6 @@ _NOT_PROOF: Final = (
 _LISTED = 12
 # An effect is called the cause if it is more probable than not.
 _PROBABLE = 0.5
-# Measurements that would change the log odds by less, in nats, decide nothing: 0.05 nats change
-# even odds from 50 to 51 %.
-_LEAST_NATS = 0.05
 _PAGE: Final = page_kind("diagnosis")
 
 
@@ -151,7 +149,7 @@ def _action(verdict: Diagnosis) -> str:
     if verdict.kind == "none" and len(verdict.shown) == 1 and not verdict.missing:
         return "What to do next: nothing. Measurement and simulation agree."
     best = next(iter(verdict.next_experiments), None)
-    if best is not None and best.expected_nats >= _LEAST_NATS:
+    if best is not None and best.expected_nats >= LEAST_NATS:
         one, other = verdict.compared
         return (
             f"What to do next: {best.experiment.description} ({best.experiment.minutes:g} min), to "
@@ -453,11 +451,12 @@ def _unseen(verdict: Diagnosis) -> _Section:
         Column("times", "times", "", "d"),
         Column("minutes", "time", "min", ".0f"),
     )  # fmt: skip
+    none = "what is missing from these runs" if verdict.missing else "none that is known here"
     rows = tuple(
         (
             _title(each.effect),
             each.deviations,
-            each.experiment.description if each.experiment else "none of those known here",
+            each.experiment.description if each.experiment else none,
             each.times,
             each.minutes,
         )

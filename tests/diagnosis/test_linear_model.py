@@ -1,5 +1,7 @@
 """Evidence of linear models with scales, and of effects scanned over their strength."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -123,6 +125,17 @@ def test_a_scan_is_the_integral_over_all_strengths(leak: float) -> None:
     straight = -scan.sizes[0] * size.scale * pull - 0.5 * (scan.sizes[0] * size.scale) ** 2 * known
     expected = together + free - straight
     assert scan.log_evidence - usual.log_evidence == pytest.approx(expected, abs=0.05)
+
+
+def test_an_effect_shows_however_far_its_form_deviates() -> None:
+    """Weighed with a form that deviates by thirty times what the effect does, nothing would show."""
+    problem = measured(3, bench(leak=0.4))
+    plain = Start.without(problem, without_effects(problem, [np.zeros(1)]).estimate)
+    unit = problem.residuals(EFFECTS[0].change(plain.parameters, {"size": 200 / 0.18}))
+    model = problem.with_form(plain.model, problem.to_noise(unit - plain.residuals))
+    start = replace(plain, model=model, weighed=weighed_at(model, model.usual))
+    scan = scan_effect(problem, start, EFFECTS[0])
+    assert np.isfinite(scan.log_evidence)
 
 
 def test_an_effect_that_changes_nothing_has_no_scan() -> None:

@@ -128,7 +128,7 @@ def test_a_scan_is_the_integral_over_all_strengths(leak: float) -> None:
 
 
 def test_an_effect_shows_however_far_its_form_deviates() -> None:
-    """Weighed with a form that deviates by thirty times what the effect does, nothing would show."""
+    """With a form that deviates by thirty times what the effect does, nothing would show."""
     problem = measured(3, bench(leak=0.4))
     plain = Start.without(problem, without_effects(problem, [np.zeros(1)]).estimate)
     unit = problem.residuals(EFFECTS[0].change(plain.parameters, {"size": 200 / 0.18}))

@@ -208,7 +208,7 @@ class _Fits:
         try:
             if known is None:
                 return fit_jointly(part.run, self._reed, self._model, light)
-            return fit_same_reed(part.run, self.found[known.name], light)
+            return fit_same_reed(part.run, self.found[known.name], self._reed, light)
         except FitError as error:
             return error
 

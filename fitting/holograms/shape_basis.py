@@ -1,6 +1,6 @@
 """Mode shapes of a reed at points of its surface, and an orthogonal basis of their span."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,6 +54,8 @@ class ShapeBasis:
         Resistance of the sound that a mode sends to another one, in 1/s, for modes of unit mass.
     largest : (m,) float
         Largest deflection of modes of unit mass at the points.
+    coordinates : mapping of (r, j) float
+        Reduced coordinates of the functions in each part of the reed.
     """
 
     functions: Float32Array
@@ -65,6 +67,17 @@ class ShapeBasis:
     sound_hz: Array
     sound: Array
     largest: Array
+    coordinates: Mapping[Symmetry | None, Array]
+
+    def at(self, reed: ReducedReed, x_m: Array, y_m: Array) -> "ShapeBasis":
+        """Return the same functions at other points (n,) of the reed.
+
+        Whatever has coordinates in the functions keeps them. The functions are orthogonal at the
+        points for which they were computed, and nearly so at others that cover the same area.
+        """
+        surface = surface_shapes(reed, x_m, y_m)
+        parts = [surface[part] @ own for part, own in self.coordinates.items()]
+        return replace(self, functions=np.sum(parts, axis=0).astype(np.float32))
 
     def stiffening_of(self, names: Sequence[str]) -> Array:
         """Return the exponents (a,) of modes of these names."""
@@ -118,11 +131,12 @@ def shape_basis(
     among = np.ix_(order, order)
     whole = [linalg.block_diag(*each)[among] for each in zip(*shares, strict=True)]
     sound_hz, sound = _sound(reed, shapes)
-    functions = _functions(deflection, np.array(frequencies))
-    coordinates = functions.T @ deflection / len(functions)
+    functions, mixing = _functions(deflection, np.array(frequencies))
+    of_functions = linalg.block_diag(*shapes)[:, order] / largest @ mixing
+    ends = np.cumsum([len(each) for each in shapes])[:-1]
     return ShapeBasis(
         functions.astype(np.float32),
-        coordinates.T,
+        (functions.T @ deflection / len(functions)).T,
         names,
         np.array(frequencies),
         np.array(stiffening),
@@ -130,6 +144,7 @@ def shape_basis(
         sound_hz,
         sound[:, among[0], among[1]],
         largest,
+        dict(zip(reed.parts, np.split(of_functions, ends), strict=True)),
     )
 
 
@@ -196,10 +211,13 @@ def _unnamed(symmetry: Symmetry | None, number: int) -> str:
     return f"{symmetry or 'mode'} {number + 1}"
 
 
-def _functions(deflection: Array, hz: Array) -> Array:
-    """Return orthogonal functions (n, j) of mean square 1 that span shapes (n, m)."""
+def _functions(deflection: Array, hz: Array) -> tuple[Array, Array]:
+    """Return orthogonal functions (n, j) of mean square 1 that span shapes (n, m).
+
+    With them come the weights (m, j) with which shapes add up to them.
+    """
     weight = np.minimum(1.0, (_EXACT_HZ / hz) ** 2)
-    left, values, _ = np.linalg.svd(deflection * weight, full_matrices=False)
+    left, values, right = np.linalg.svd(deflection * weight, full_matrices=False)
     size = min(_MOST_FUNCTIONS, int(np.count_nonzero(values > _LEAST_FRACTION * values[0])))
-    functions: Array = left[:, :size] * np.sqrt(len(deflection))
-    return functions
+    unit = np.sqrt(len(deflection))
+    return left[:, :size] * unit, weight[:, None] * right[:size].T / values[:size] * unit

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.special import j0
 from threadpoolctl import threadpool_limits
 
-from fitting.errors import FitError
 from fitting.holograms.bessel import BesselTable
 from fitting.holograms.block_amplitudes import (
     BlockAmplitudes,
@@ -15,7 +14,7 @@ from fitting.holograms.block_amplitudes import (
     read_block_amplitudes,
 )
 from fitting.holograms.displacement import refit_displacements
-from fitting.holograms.object_field import CommonModeError, field_factor, smooth_functions
+from fitting.holograms.object_field import CommonModeError
 from fitting.holograms.shape_basis import ShapeBasis
 from fitting.holograms.solved_sweep import Displacements
 from fitting.holograms.unknown_positions import covariance_by_positions
@@ -40,44 +39,45 @@ from runs.reader import Run
 _FIELD_TURNS = 12
 
 
-def fit_same_reed(run: Run, before: JointFit, unshifted: UnshiftedLight | None = None) -> JointFit:
+def fit_same_reed(
+    run: Run, before: JointFit, reed: ReducedReed, unshifted: UnshiftedLight | None = None
+) -> JointFit:
     """Fit a sweep of a reed, starting from the fit of another sweep of the same reed.
 
     This takes a third of the time of `fit_jointly`: the vibration starts from that of the other
     sweep, scaled by the volts. Phases of block amplitudes, leading singular vectors, are arbitrary
-    in each run, so that the object field is new also in the same clamping.
+    in each run, so that the object field is new also in the same clamping. The blocks lie where
+    this run shows the reed: a hand may have moved it, and each run measures its place.
 
     Parameters
     ----------
     run : Run
     before : JointFit
-        Fit of another run, in which the reed has the same position in the image.
+        Fit of another run of the reed.
+    reed : ReducedReed
+        Reduced model of the runs' kind of reed.
     unshifted : UnshiftedLight, optional
         Leaked light that is subtracted.
 
     Raises
     ------
     FitError
-        As `fit_jointly`, and if the runs do not show the reed in the same places.
+        As `fit_jointly`.
     RunFileError
         If a step cannot be read.
     """
     with threadpool_limits(limits=1, user_api="blas"):
         block_amplitudes = read_block_amplitudes(run, unshifted)
-        if block_amplitudes.x_m.shape != before.block_amplitudes.x_m.shape:
-            raise FitError(
-                f"{run.path}: the reed covers {len(block_amplitudes.x_m)} blocks, and "
-                f"{len(before.block_amplitudes.x_m)} in the other run of it; fit this run alone"
-            )
-        displacements, start_hz, known = _from_before(block_amplitudes, before)
+        basis = before.basis.at(reed, block_amplitudes.x_m, block_amplitudes.y_m)
+        displacements, start_hz, known = _from_before(block_amplitudes, before, basis)
         # The lines of the drive stay, so that no mode can be absorbed by a new line.
         modal = fit_modes_with_known_drive(
-            displacements, before.basis, block_amplitudes.drive_hz, start_hz, known
+            displacements, basis, block_amplitudes.drive_hz, start_hz, known
         )
         # What this sweep says of the forms of the drive must not count again when the other is
         # fitted from this one.
         modal = replace(modal, drive_forms=known.drive_forms)
-        same = block_amplitudes, before.basis, displacements
+        same = block_amplitudes, basis, displacements
         modal = modal.with_errors(covariance_by_positions(*same, modal.influence))
         return joint_fit_of(MeasuredSweep(*same, modal, start_hz), before.naming)
 
@@ -120,30 +120,25 @@ def fit_without_unshifted(before: JointFit, reed: ReducedReed, series: Series) -
 
 
 def _from_before(
-    block_amplitudes: BlockAmplitudes, before: JointFit
+    block_amplitudes: BlockAmplitudes, before: JointFit, basis: ShapeBasis
 ) -> tuple[Displacements, dict[str, float], ModalFit]:
     """Fit displacements from an earlier fit; also return its modes, and the fit at these steps."""
-    start = _as_before(block_amplitudes, before)
-    object_field = _new_object_field(block_amplitudes, start.amplitude_rad, before.basis)
-    start = replace(start, object_field=object_field)
+    known = _moved(before.modal, before.block_amplitudes, block_amplitudes)
+    start = _as_before(block_amplitudes, before, known, basis)
     everything = np.ones(len(block_amplitudes.drive_hz), dtype=bool)
     none = np.zeros(start.common_mode.precision.shape[:2])
     displacements = refit_displacements(
-        block_amplitudes, before.basis, start, (start.amplitude_rad,), everything, none
+        block_amplitudes, basis, start, (start.amplitude_rad,), everything, none
     )
     start_hz = dict(zip(before.modal.names, before.modal.hz.tolist(), strict=True))
-    known = _moved(before.modal, before.block_amplitudes, block_amplitudes)
     return displacements, start_hz, known
 
 
-def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacements:
-    """Predict the displacements of a sweep from the fit of another one."""
-    known = _moved(before.modal, before.block_amplitudes, block_amplitudes)
+def _as_before(
+    block_amplitudes: BlockAmplitudes, before: JointFit, known: ModalFit, basis: ShapeBasis
+) -> Displacements:
+    """Predict the displacements of a sweep: those of the fit of another one, at these steps."""
     old, count = before.displacements, len(block_amplitudes.drive_hz)
-    # The modal fit has determined the common-mode error of displacements and object field.
-    smooth = smooth_functions(before.block_amplitudes.x_m, before.block_amplitudes.y_m)
-    shifted = old.object_field * field_factor(smooth, before.modal.common_mode_shift)
-    object_field = shifted.mean(axis=0)
     size = known.amplitude_rad.shape[1]
     return Displacements(
         amplitude_rad=known.amplitude_rad,
@@ -157,7 +152,7 @@ def _as_before(block_amplitudes: BlockAmplitudes, before: JointFit) -> Displacem
         misfit=np.full(count, np.inf),
         gain=np.zeros(count),
         gain_nepers=old.gain_nepers,
-        object_field=object_field,
+        object_field=_new_object_field(block_amplitudes, known.amplitude_rad, basis),
         field_variance=None,
         change=None,
         reached=np.zeros(count, dtype=bool),

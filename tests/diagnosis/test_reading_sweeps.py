@@ -41,7 +41,7 @@ def fitted(monkeypatch):
             raise FitError(f"{run.name} cannot be fitted")
         return SimpleNamespace(name=run.name, resonances={"F1": 1}, of=run.name)
 
-    def again(run, before, unshifted):
+    def again(run, before, _reed, unshifted):
         faked.again.append((before.name, run.name))
         if run.name in faked.lost:
             raise FitError(f"{run.name} shows another reed")

@@ -84,7 +84,7 @@ def plate(rng, points):
     coordinates = (functions.T @ shapes / points).T
     none = np.zeros(5), np.zeros((2, 5, 5)), np.array([1e3, 2e4]), np.zeros((2, 5, 5))
     functions = functions.astype(np.float32)
-    return x, y, ShapeBasis(functions, coordinates, NAMES, MODE_HZ, *none, np.ones(5))
+    return x, y, ShapeBasis(functions, coordinates, NAMES, MODE_HZ, *none, np.ones(5), {})
 
 
 def planted(

@@ -84,6 +84,22 @@ def test_names_are_the_papers_and_each_is_given_once(basis):
     assert len(set(basis.names)) == len(basis.names)
 
 
+def test_the_same_functions_are_there_at_other_points(reed, points, basis):
+    same = basis.at(reed, *points)
+    assert same.functions == pytest.approx(basis.functions, abs=1e-4)
+    x, y = points
+    moved = basis.at(reed, x + 0.15e-3, y - 0.1e-3)
+    assert moved.functions.dtype == np.float32
+    terms = stiffness_terms_pa(replace(reed.cane, E_L_pa=E_L_PA, G_LT_pa=G_LT_PA))
+    there, here = surface_shapes(reed, x + 0.15e-3, y - 0.1e-3), surface_shapes(reed, x, y)
+    for symmetry, half in reed.parts.items():
+        hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
+        exact = there[symmetry] @ vectors / np.abs(here[symmetry] @ vectors).max(axis=0)
+        for m in np.flatnonzero(hz < EXACT_HZ):
+            found = moved.functions @ basis.shapes[np.argmin(np.abs(basis.hz - hz[m]))]
+            assert np.std(found - exact[:, m]) < 0.02 * np.std(exact[:, m])
+
+
 def test_names_and_frequencies_are_those_of_the_reed(basis, reed):
     hz = dict(zip(basis.names, basis.hz, strict=True))
     # Shapes are those in a vacuum: air changes them by a thousandth.
@@ -146,7 +162,8 @@ def test_functions_span_what_counts_and_leave_out_what_does_not():
     span = rng.standard_normal((400, 3))
     deflection = np.concatenate([span, span @ rng.standard_normal((3, 4))], axis=1)
     deflection = np.concatenate([deflection, 1e-5 * rng.standard_normal((400, 1))], axis=1)
-    functions = _functions(deflection, np.linspace(1e3, 20e3, 8))
+    functions, weights = _functions(deflection, np.linspace(1e3, 20e3, 8))
+    assert deflection @ weights == pytest.approx(functions, abs=1e-6)
     assert functions.shape == (400, 3)
     assert functions.T @ functions / 400 == pytest.approx(np.eye(3), abs=1e-9)
     rest = span - functions @ (functions.T @ span) / 400
@@ -157,7 +174,7 @@ def test_there_are_never_more_functions_than_32_and_low_modes_come_first():
     rng = np.random.default_rng(2)
     deflection = rng.standard_normal((500, 60))
     hz = np.concatenate([np.full(20, 5e3), np.full(40, 39e3)])
-    functions = _functions(deflection, hz)
+    functions, _ = _functions(deflection, hz)
     assert functions.shape == (500, 32)
 
     def left(shapes):

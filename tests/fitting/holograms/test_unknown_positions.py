@@ -50,7 +50,7 @@ def basis(plate):
     return ShapeBasis(
         plate[2].astype(np.float32), np.eye(size), names, 1e3 * np.arange(1, size + 1),
         np.zeros(size), np.zeros((2, size, size)), np.array([1e3, 2e4]), np.zeros((2, size, size)),
-        np.ones(size),
+        np.ones(size), {},
     )  # fmt: skip
 
 

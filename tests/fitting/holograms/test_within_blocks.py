@@ -203,7 +203,7 @@ def test_explained_amplitudes_are_those_of_even_light_in_each_block(plate, ampli
     basis = ShapeBasis(
         functions.astype(np.float32), np.eye(size), names, 1e3 * np.arange(1, size + 1),
         np.zeros(size), np.zeros((2, size, size)), np.array([1e3, 2e4]), np.zeros((2, size, size)),
-        np.ones(size),
+        np.ones(size), {},
     )  # fmt: skip
     rng = np.random.default_rng(9)
     light, gain = complex_normal(rng, len(x)), 0.1 * rng.standard_normal(HOLOGRAMS)

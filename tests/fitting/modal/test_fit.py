@@ -165,6 +165,7 @@ def planted(
         DRIVE_HZ[[0, -1]],
         np.zeros((2, modes, modes)),
         np.ones(modes),
+        {},
     )
     return Planted(hz, LOSS[:modes], shapes, p, drive, volts, displacements, basis)
 

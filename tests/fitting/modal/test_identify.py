@@ -11,11 +11,12 @@ from drivers.simulated.settings import cane_of
 from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.cane.residual_map import residual_map
 from fitting.errors import FitInputError
-from fitting.forward import cents_of
+from fitting.forward import basis_of, cents_of
 from fitting.fringes.start_frequencies import _outweighing, _room_cents
 from fitting.modal.identify import _absorbed, fit_jointly, joint_fit_of, mac, with_smooth_drive
 from fitting.modal.refit import fit_same_reed
 from fitting.names.naming import SURE, ModeNaming, name_modes, reeds_behind
+from fitting.reed_place import reed_place
 from physics.plausible.reeds import PlausibleReeds
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.modes import HIGHEST_HZ, ModeClass
@@ -366,9 +367,29 @@ def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_h
 def test_another_sweep_adds_nothing_to_what_is_known_of_the_drive(sweep_a, sweep, true_hz):
     """Fits go back and forth between sweeps: what one knows of the drive must not count twice."""
     with Run.open(sweep_a) as run:
-        again = fit_same_reed(run, sweep.joint)
+        again = fit_same_reed(run, sweep.joint, basis_of(run.reed_file()))
     known = [form.log_probability for form in sweep.joint.modal.drive_forms]
     assert [form.log_probability for form in again.modal.drive_forms] == known
+    found = {name: mode.frequency_hz for name, mode in again.resonances.items()}
+    apart = cents_apart(found, true_hz)
+    assert all(abs(cents) < 5 for cents in apart.values()), apart
+
+
+def test_a_sweep_is_fitted_from_another_in_which_the_reed_lay_elsewhere(
+    sweep_a, sweep, true_hz, monkeypatch
+):
+    """Each run measures where its reed lies, so that it has other blocks, and not as many."""
+
+    def elsewhere(run, steps):
+        found = reed_place(run, steps)
+        return replace(found, along_m=found.along_m + 0.2e-3, across_m=found.across_m - 0.1e-3)
+
+    monkeypatch.setattr("fitting.holograms.block_amplitudes.reed_place", elsewhere)
+    with Run.open(sweep_a) as run:
+        again = fit_same_reed(run, sweep.joint, basis_of(run.reed_file()))
+    before, now = (each.block_amplitudes.x_m for each in (sweep.joint, again))
+    assert before.shape != now.shape
+    assert again.basis.functions.shape == (len(now), sweep.joint.basis.functions.shape[1])
     found = {name: mode.frequency_hz for name, mode in again.resonances.items()}
     apart = cents_apart(found, true_hz)
     assert all(abs(cents) < 5 for cents in apart.values()), apart

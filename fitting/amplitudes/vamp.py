@@ -9,10 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fitting.fringes.start_frequencies import middling_shapes
 from fitting.holograms.shape_basis import ShapeBasis
 from holography.arrays import Array
-from physics.reed.cane.viscoelastic import ViscoelasticCane
 from physics.reed.geometry import half_width_m
 from physics.reed.reduced.reed import ReducedReed
 
@@ -44,16 +42,12 @@ class VampPoints:
     slopes: Array
 
 
-def vamp_points(
-    reed: ReducedReed, cane: ViscoelasticCane, basis: ShapeBasis, x_m: Array, y_m: Array
-) -> VampPoints:
+def vamp_points(reed: ReducedReed, basis: ShapeBasis, x_m: Array, y_m: Array) -> VampPoints:
     """Return the blocks of a run and the points of the vamp's contour.
 
     Parameters
     ----------
     reed : ReducedReed
-    cane : ViscoelasticCane
-        Cane of the shapes of `basis`.
     basis : ShapeBasis
         At the blocks.
     x_m, y_m : (n,) float
@@ -67,17 +61,12 @@ def vamp_points(
     all_y_m = np.concatenate([y_m, half, -half[1:]])
     # Slopes are differences towards the clamp and towards the axis, where there is reed.
     inwards_m = np.where(all_y_m > 0, -_SLOPE_M, _SLOPE_M)
-    whole = middling_shapes(
+    everywhere = basis.at(
         reed,
-        cane,
         np.concatenate([all_x_m, all_x_m + _SLOPE_M, all_x_m]),
         np.concatenate([all_y_m, all_y_m, all_y_m + inwards_m]),
     )
-    # The same shapes in functions that are orthogonal over more points: turn them into the others.
-    turn = np.linalg.lstsq(
-        whole.functions[:count].astype(float), basis.functions.astype(float), rcond=None
-    )[0]
-    here, along_x, along_y = np.split(whole.functions @ turn, 3)
+    here, along_x, along_y = np.split(everywhere.functions.astype(float), 3)
     slopes = np.stack([(along_x - here) / _SLOPE_M, (along_y - here) / inwards_m[:, None]])
     functions = np.concatenate([basis.functions, here[count:]])
     return VampPoints(all_x_m, all_y_m, functions, slopes)

@@ -233,10 +233,8 @@ def fit_sweep_jointly(run: Run, reed: ReducedReed, model: ForwardModel) -> Sweep
             f"{run.path}: nothing is identified{reason}; look at the contact sheet that acquire "
             "report writes"
         )
-    series = series_of(run)
-    cane = viscoelastic_cane(Components(), series)
     blocks = joint.block_amplitudes
-    points = vamp_points(reed, cane, joint.basis, blocks.x_m, blocks.y_m)
+    points = vamp_points(reed, joint.basis, blocks.x_m, blocks.y_m)
     wavelength_m = run.reconstruction.transform.wavelength_m
     response, resonances, not_sure = joint_response(joint, points, wavelength_m)
     return SweepFit(

@@ -13,7 +13,7 @@ from fitting.cane.sweep_fit import SweepFit
 from fitting.forward import basis_of
 from physics.bench import BenchModel
 from physics.errors import ImpossibleReedError
-from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
+from physics.reed.cane.viscoelastic import Series, viscoelastic_cane
 from physics.reed.reduced.elastic import air_masses_kg, viscoelastic_mode
 from physics.reed.surface import surface_shapes
 from protocols.plan import Plan
@@ -59,9 +59,8 @@ def compare_peaks(sweep: SweepFit, plan: Plan, model: BenchModel) -> list[Compar
     joint = sweep.joint
     if joint is None:
         return []
-    cane = viscoelastic_cane(Components(), Series(sweep.series))
     blocks = joint.block_amplitudes
-    points = vamp_points(basis_of(sweep.reed_file), cane, joint.basis, blocks.x_m, blocks.y_m)
+    points = vamp_points(basis_of(sweep.reed_file), joint.basis, blocks.x_m, blocks.y_m)
     steps, response = {step.index: step for step in plan.steps}, sweep.response
     drives = [(steps[int(k)].drive_hz, float(steps[int(k)].volts)) for k in response.step_index]
     true_nm = 1e9 * np.abs(model.displacement_at_m(points.x_m, points.y_m, drives)).max(axis=1)
@@ -80,9 +79,8 @@ def compare_modes(sweep: SweepFit, model: BenchModel) -> list[Comparison]:
     if joint is None:
         return []
     reed = basis_of(sweep.reed_file)
-    series_cane = viscoelastic_cane(Components(), Series(sweep.series))
     blocks = joint.block_amplitudes
-    points = vamp_points(reed, series_cane, joint.basis, blocks.x_m, blocks.y_m)
+    points = vamp_points(reed, joint.basis, blocks.x_m, blocks.y_m)
     surface = surface_shapes(reed, points.x_m, points.y_m)
     cane, found = viscoelastic_cane(cane_of(sweep.reed), Series(sweep.series)), []
     for name, stated in sweep.resonances.items():

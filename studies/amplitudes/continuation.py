@@ -26,7 +26,7 @@ def continuation(reeds: int, first: int, protocol: str) -> dict[str, float]:
     inside = half_width_m(reed.geometry.outline, x_m) - np.abs(y_m) > _EDGE_M
     x_m, y_m = x_m[inside], y_m[inside]
     basis = middling_shapes(reed, cane, x_m, y_m)
-    points, count = vamp_points(reed, cane, basis, x_m, y_m), len(x_m)
+    points, count = vamp_points(reed, basis, x_m, y_m), len(x_m)
     relative = []
     for number in range(first, first + reeds):
         model = model_of(plan, f"amplitude-{number:02d}")

@@ -140,7 +140,7 @@ def test_the_drive_s_scatter_adds_to_the_error_per_volt(hz, share):
 def test_slopes_are_those_of_the_functions(reed, blocks):
     cane = viscoelastic_cane(Components(), Series.A)
     basis = middling_shapes(reed, cane, *blocks)
-    points = vamp_points(reed, cane, basis, *blocks)
+    points = vamp_points(reed, basis, *blocks)
     x_m, y_m = blocks
     # Blocks 0.6 mm apart, along x and along y, and the mean of their slopes.
     for axis, (along, other) in enumerate(((x_m, y_m), (y_m, x_m))):
@@ -223,7 +223,7 @@ def blocks(reed):
 def test_shapes_are_continued_to_the_tip_and_the_sides(reed, blocks):
     cane = viscoelastic_cane(Components(), Series.A)
     basis = middling_shapes(reed, cane, *blocks)
-    points = vamp_points(reed, cane, basis, *blocks)
+    points = vamp_points(reed, basis, *blocks)
     assert points.x_m.min() == 0
     on_contour = np.arange(len(points.x_m)) >= len(blocks[0])
     half = half_width_m(reed.geometry.outline, points.x_m[on_contour])

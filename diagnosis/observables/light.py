@@ -116,8 +116,7 @@ def brightness_group(
     usual = {name for column in columns for name in column if _is_open(name)}
     noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
     own = _table([_chosen(column, {*column} - usual) for column in columns])
-    at_s = [float(np.mean(sweeps[row].time_s[at])) for row, at in pieces] + still_s
-    walk = _walk(np.array(at_s), np.concatenate([sweep.time_s for sweep in sweeps]))
+    walk = _walk_as_seen(table, pieces, np.array(still_s))
     errors = Errors(
         noise,
         (
@@ -137,6 +136,32 @@ def _is_open(name: str) -> bool:
 
 def _chosen(column: dict[str, float], names: set[str]) -> dict[str, float]:
     return {name: size for name, size in column.items() if name in names}
+
+
+def _walk_as_seen(
+    table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]], still_s: Array
+) -> Array:
+    """Return columns (n, n) whose amounts make a random walk of the light, as numbers show it.
+
+    Pieces of sweeps show it less its mean over the sweeps, and acquisitions at rest as it is.
+
+    Parameters
+    ----------
+    table : _Brightness
+    pieces : sequence of (int, (p,) int)
+        Number of a sweep and its holograms.
+    still_s : (r,) float
+    """
+    own_s = [float(np.mean(table.sweeps[row].time_s[at])) for row, at in pieces]
+    knots_s = np.sort(np.concatenate([own_s, still_s]))
+    walk = _walk(knots_s, np.concatenate([sweep.time_s for sweep in table.sweeps]))
+
+    def seen(column: Array) -> Array:
+        relative = table.of_light(lambda time_s: np.interp(time_s, knots_s, column))
+        of_sweeps = [np.mean(relative[row][at]) for row, at in pieces]
+        return np.array([*of_sweeps, *np.interp(still_s, knots_s, column)])
+
+    return np.stack([seen(column) for column in walk.T], axis=1)
 
 
 def _walk(at_s: Array, acquired_s: Array) -> Array:

@@ -68,6 +68,26 @@ def test_light_that_walks_differs_between_two_sweeps_by_what_it_walked_in_betwee
     assert found[0, 0] - found[9, 9] == pytest.approx(18.0)
 
 
+def test_brightness_that_walks_is_as_uncertain_as_walks_make_it() -> None:
+    """Sweeps are compared with their mean: what the first of them shows is no start of a walk."""
+    rng, names, k = np.random.default_rng(8), ("up", "down", "shuffled"), np.arange(COUNT)
+    order = {"up": k, "down": k[::-1], "shuffled": rng.permutation(COUNT)}
+    sums = []
+    for _ in range(200):
+        walk = np.cumsum(FIELD_CHANGE * rng.standard_normal(len(names) * COUNT))
+        sweeps = [sweep(name, 1.0, 0.0) for name in names]
+        for number, one in enumerate(sweeps):
+            place = COUNT * number + order[one.name]
+            one.time_s = 60.0 + place
+            one.signal = np.sin(k / 20) + walk[place] + 1e-3 * rng.standard_normal(COUNT)
+        block = brightness_group(sweeps, [])
+        off = block.values - block.predict(BenchParameters())
+        sums.append(off @ np.linalg.solve(block.covariance, off) / len(off))
+    # Whole sweeps differ by less than is allowed for; a sum of squares of 24 scatters by 0.29.
+    assert np.mean(sums) == pytest.approx(0.9, abs=0.15)
+    assert np.quantile(sums, 0.95) < 1.8
+
+
 def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None:
     still = SimpleNamespace(
         clamping=0, time_s=np.arange(12.0), brightness=np.r_[np.zeros(4), np.full(8, -0.2)],

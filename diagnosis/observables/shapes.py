@@ -96,7 +96,7 @@ def shapes_group(
     ]
     columns = np.stack([predict(each) for each in _uneven()], axis=1)
     uneven = GroupNuisances(
-        "thickness that is uneven across",
+        "thickness that is fine, or uneven across",
         columns - predict(BenchParameters())[:, None],
         DISORDER,
         BY_NAME["thickness_map"].ordinary.source,
@@ -109,9 +109,10 @@ def shapes_group(
 
 
 def _uneven() -> list[BenchParameters]:
-    """Return ordinary reeds that are not their own mirror images."""
+    """Return ordinary reeds whose maps of thickness are odd across, or finer than nuisances."""
     nominal = BenchParameters()
-    layered = [each.change(nominal, each.spread) for each in layers(odd=True)]
+    maps = *layers(odd=True), *layers(odd=True, fine=True), *layers(odd=False, fine=True)
+    layered = [each.change(nominal, each.spread) for each in maps]
     tilted = BY_NAME["clamp_tilt"]
     return [*layered, tilted.change(nominal, tilted.ordinary.deviation, 0)]
 

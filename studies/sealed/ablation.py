@@ -148,7 +148,7 @@ ABLATIONS: Final = (
         nuisances=frozenset(
             {
                 "detail of the reed",
-                "thickness that is uneven across",
+                "thickness that is fine, or uneven across",
                 "motion near the clamp",
                 "thickness",
                 "constants of cane",

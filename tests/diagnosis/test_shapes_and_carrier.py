@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis.inference.nuisances import layers
 from diagnosis.observables.carrier import Leaks, carrier_group, leaks_in
 from diagnosis.observables.shapes import shapes_group
 from diagnosis.readings.carrier import CarrierReading, unshifted_light
 from physics.mechanics import ReedMode, TipMass
+from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import BenchParameters, with_alteration, with_part
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
@@ -198,3 +200,23 @@ def test_little_light_and_light_of_another_clamping_stay() -> None:
     assert unshifted_light([part("quiet", quiet)], [part("rest", still)], little) == {}
     assert unshifted_light([part("quiet", quiet, 1)], [part("rest", still)], much) == {}
     assert unshifted_light([part("quiet", quiet)], [part("rest", still)], []) == {}
+
+
+def test_layers_have_nearly_all_of_the_variance_of_a_map_of_thickness():
+    """A product of Legendre polynomials a and b has the mean square 1 / (2a + 1) / (2b + 1)."""
+    variance = BY_NAME["thickness_map"].ordinary.root_mean_square ** 2
+    shares = {}
+    for fine in (False, True):
+        found = [each for odd in (False, True) for each in layers(odd=odd, fine=fine)]
+        # Thickness everywhere, and a slope across, are no matter of the map alone.
+        own = [each for each in found if each.name not in ("layer 00", "layer 01")]
+        degrees = [(int(each.name[-2]), int(each.name[-1])) for each in own]
+        powers = [
+            each.spread**2 / (2 * a + 1) / (2 * b + 1)
+            for each, (a, b) in zip(own, degrees, strict=True)
+        ]
+        shares[fine] = sum(powers) / variance
+        assert len(set(degrees)) == len(own)
+    # Without the two of lowest degree, 26 % of the variance.
+    assert shares[False] == pytest.approx(0.68, abs=0.02)
+    assert shares[True] == pytest.approx(0.055, abs=0.01)

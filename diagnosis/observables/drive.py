@@ -21,7 +21,12 @@ from diagnosis.observable_groups import (
 )
 from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.light import field_changing, leaks_of, log_light
+from diagnosis.observables.light import (
+    acquisition_times_s,
+    field_changing,
+    leaks_of,
+    log_light,
+)
 from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
@@ -237,7 +242,7 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
         changed: Array = kept + _light_between(times_s, parameters.optics.interference)
         return changed
 
-    changing = field_changing(times_s, [loud[0], *others])
+    changing = field_changing(times_s, [loud[0], *others], acquisition_times_s(sweeps))
     noise = np.diag(np.square(errors)) + _RATIO**2
     return observable_group(
         "level", Observable.DRIVE, values, Errors(noise, (changing,)), places, ("drive", "optics"),

@@ -76,6 +76,7 @@ def brightness_group(
     What holograms of one drive show is vibration times light: sweeps that repeat others tell how
     the light differs, whatever the vibration is. Sweeps at another level depend on the drive.
     """
+    acquired_s = acquisition_times_s(sweeps)
     sweeps = at_highest_level(sweeps)
     table = _Brightness.of(sweeps)
     values, variance, places, columns = [], [], [], []
@@ -116,7 +117,7 @@ def brightness_group(
     usual = {name for column in columns for name in column if _is_open(name)}
     noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
     own = _table([_chosen(column, {*column} - usual) for column in columns])
-    walk = _walk_as_seen(table, pieces, np.array(still_s))
+    walk = _walk_as_seen(table, pieces, np.array(still_s), acquired_s)
     errors = Errors(
         noise,
         (
@@ -139,7 +140,10 @@ def _chosen(column: dict[str, float], names: set[str]) -> dict[str, float]:
 
 
 def _walk_as_seen(
-    table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]], still_s: Array
+    table: "_Brightness",
+    pieces: Sequence[tuple[int, NDArray[np.intp]]],
+    still_s: Array,
+    acquired_s: Array,
 ) -> Array:
     """Return columns (n, n) whose amounts make a random walk of the light, as numbers show it.
 
@@ -151,10 +155,12 @@ def _walk_as_seen(
     pieces : sequence of (int, (p,) int)
         Number of a sweep and its holograms.
     still_s : (r,) float
+    acquired_s : (k,) float
+        Times of all acquisitions.
     """
     own_s = [float(np.mean(table.sweeps[row].time_s[at])) for row, at in pieces]
     knots_s = np.sort(np.concatenate([own_s, still_s]))
-    walk = _walk(knots_s, np.concatenate([sweep.time_s for sweep in table.sweeps]))
+    walk = _walk(knots_s, acquired_s)
 
     def seen(column: Array) -> Array:
         relative = table.of_light(lambda time_s: np.interp(time_s, knots_s, column))
@@ -192,8 +198,13 @@ def walk_columns(steps: Array) -> Array:
     return columns
 
 
+def acquisition_times_s(sweeps: Sequence[SweepReading]) -> Array:
+    """Return the times (k,) of all acquisitions of some sweeps."""
+    return np.concatenate([sweep.time_s for sweep in sweeps])
+
+
 def field_changing(
-    times_s: Sequence[tuple[Array, Array]], sweeps: Sequence[SweepReading]
+    times_s: Sequence[tuple[Array, Array]], compared: Sequence[SweepReading], acquired_s: Array
 ) -> GroupNuisances:
     """Return what light changes by along and between two sweeps, for numbers that compare them.
 
@@ -201,14 +212,17 @@ def field_changing(
     ----------
     times_s : sequence of ((k,) float, (k,) float)
         Times of the holograms of each number in either sweep.
-    sweeps : sequence of SweepReading
+    compared : sequence of SweepReading
+        Sweeps that are compared.
+    acquired_s : (k,) float
+        Times of all acquisitions, also of other sweeps.
     """
     ends = np.array([[np.mean(each) for each in pair] for pair in times_s])
-    acquired_s = np.concatenate([sweep.time_s for sweep in sweeps])
     columns = _walk(ends.T.ravel(), acquired_s)
     # From the light at one time to that at the other.
     walk = columns[: len(ends)] - columns[len(ends) :]
-    between = FIELD_CHANGE * np.sqrt(len(acquired_s) / 2) * np.ones((len(times_s), 1))
+    whole = FIELD_CHANGE * np.sqrt(len(acquisition_times_s(compared)) / 2)
+    between = whole * np.ones((len(times_s), 1))
     return GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
 
 

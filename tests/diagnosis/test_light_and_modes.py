@@ -56,7 +56,7 @@ def test_light_that_walks_differs_between_two_sweeps_by_what_it_walked_in_betwee
     one, two = np.arange(10.0), 60.0 + np.arange(10.0)
     sweeps = [SimpleNamespace(time_s=one), SimpleNamespace(time_s=two)]
     times_s = [(one[[k]], two[[9 - k]]) for k in range(10)]
-    columns = field_changing(times_s, sweeps).columns
+    columns = field_changing(times_s, sweeps, np.concatenate([one, two])).columns
     found = columns @ columns.T / FIELD_CHANGE**2
     steps = np.arange(20.0)
     walk = np.minimum.outer(steps, steps)
@@ -64,6 +64,10 @@ def test_light_that_walks_differs_between_two_sweeps_by_what_it_walked_in_betwee
     apart[np.arange(10), np.arange(10)], apart[np.arange(10), 19 - np.arange(10)] = 1, -1
     # In addition, all of one sweep may differ from the other.
     assert found == pytest.approx(apart @ walk @ apart.T + len(steps) / 2, abs=1e-9)
+    # What a third sweep takes between them counts as well.
+    third = np.concatenate([one, 30.0 + one, two])
+    more = field_changing(times_s, sweeps, third).columns
+    assert (more @ more.T / FIELD_CHANGE**2 - found)[0, 0] == pytest.approx(10.0)
     # What is 19 acquisitions apart differs by more than neighbours do.
     assert found[0, 0] - found[9, 9] == pytest.approx(18.0)
 

@@ -104,13 +104,12 @@ def shape_basis(
     growth : callable, optional
         Returns the exponents with which E_L and G_LT grow with frequency, at a frequency in Hz.
     """
-    cane = replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)
-    (terms,), (slopes,) = terms_and_slopes(constants_of([cane]))
+    constants = constants_of([replace(reed.cane, E_L_pa=E_L_pa, G_LT_pa=G_LT_pa)])
+    (terms,), (slopes,) = terms_and_slopes(constants)
     by_moduli = slopes[:, [CONSTANTS.index("E_L_pa"), CONSTANTS.index("G_LT_pa")]]
     surface, named = surface_shapes(reed, x_m, y_m), _named(reed, E_L_pa, G_LT_pa)
-    found: list[tuple[float, str, Array, float]] = []
-    shares, shapes = [], []
-    taken_by_clamp = _yielding(reed)
+    found: list[tuple[float, str, float]] = []
+    shares, shapes, taken_by_clamp = [], [], _yielding(reed)
     for symmetry, half in reed.parts.items():
         hz, vectors = reduced_modes(half, terms, reed.cane.density_kg_m3)
         below = int(np.count_nonzero(hz < _HIGHEST_HZ))
@@ -119,21 +118,20 @@ def shape_basis(
         lossy = _shear(half, terms, vectors), taken_by_clamp(symmetry, terms, hz, vectors)
         shares.append([each / (2 * np.pi) ** 2 / np.outer(hz, hz) for each in lossy])
         shapes.append(vectors)
-        for number, deflections in enumerate((surface[symmetry] @ vectors).T):
-            key, other = (symmetry, round(float(hz[number]), 3)), _unnamed(symmetry, number)
-            name = named.get(key, other)
-            found.append((float(hz[number]), name, deflections, float(stiffens[number])))
+        for number, own_hz in enumerate(hz.tolist()):
+            name = named.get((symmetry, round(own_hz, 3)), _unnamed(symmetry, number))
+            found.append((own_hz, name, float(stiffens[number])))
     order = np.argsort([mode[0] for mode in found])
-    frequencies, names, columns, stiffening = zip(*(found[m] for m in order), strict=True)
-    deflection = np.stack(columns, axis=1)
+    frequencies, names, stiffening = zip(*(found[m] for m in order), strict=True)
+    coordinates = linalg.block_diag(*shapes)[:, order]
+    deflection = np.hstack([surface[part] for part in reed.parts]) @ coordinates
     largest = np.abs(deflection).max(axis=0)
     deflection = deflection / largest
     among = np.ix_(order, order)
     whole = [linalg.block_diag(*each)[among] for each in zip(*shares, strict=True)]
     sound_hz, sound = _sound(reed, shapes)
     functions, mixing = _functions(deflection, np.array(frequencies))
-    of_functions = linalg.block_diag(*shapes)[:, order] / largest @ mixing
-    ends = np.cumsum([len(each) for each in shapes])[:-1]
+    parts = np.split(coordinates / largest @ mixing, np.cumsum([len(v) for v in shapes])[:-1])
     return ShapeBasis(
         functions.astype(np.float32),
         (functions.T @ deflection / len(functions)).T,
@@ -144,7 +142,7 @@ def shape_basis(
         sound_hz,
         sound[:, among[0], among[1]],
         largest,
-        dict(zip(reed.parts, np.split(of_functions, ends), strict=True)),
+        dict(zip(reed.parts, parts, strict=True)),
     )
 
 

@@ -1,6 +1,6 @@
 """Drive and response: excitation peaks, amplitude against drive level, forces on modes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -287,7 +287,8 @@ def force_group(
     volts = np.interp(hz, loud[0].drive_hz, loud[0].volts)
     torn = np.max([_torn(sweep, hz) for sweep in loud], axis=0)
     closed, modes = replace(nominal.chamber, leak=0.0), [known[name] for name in names]
-    usual = _pushed(_pushes(reed_solver, closed, modes), 0.0)
+    elastic = reed_solver.modes(elastic_reed(nominal))
+    usual = _pushed(_pushes(reed_solver, closed, modes, elastic), 0.0)
     fields = log_forces(reed_solver, closed, modes, usual)
     apart = np.log(hz)[:, None] - np.log(hz)
     errors = Errors(
@@ -299,7 +300,7 @@ def force_group(
             ),
         ),
     )
-    predicted = forces_rad(reed_solver, nominal.optics.layout.wavelength_m)
+    predicted = forces_rad(reed_solver, nominal)
 
     def predict(parameters: BenchParameters) -> Array:
         drive = parameters.drive
@@ -326,19 +327,27 @@ def _torn(sweep: SweepReading, hz: Array) -> Array:
 
 
 def forces_rad(
-    reed_solver: ReedSolver, wavelength_m: float
+    reed_solver: ReedSolver, nominal: BenchParameters
 ) -> Callable[[BenchParameters, Sequence[str]], Array]:
     """Return a function for phase amplitudes per volt that forces alone would give modes.
 
     They are those of a mode that is pushed slowly: what it has of the elastic mode of its name,
     where that moves most, as a fit has them. The function takes the parameters of a bench and names
     of modes.
+
+    Parameters
+    ----------
+    reed_solver : ReedSolver
+    nominal : BenchParameters
+        With the cane of the series, and the laser.
     """
+    elastic = reed_solver.modes(elastic_reed(nominal))
+    wavelength_m = nominal.optics.layout.wavelength_m
 
     @lru_cache(maxsize=_KEPT)
     def pushes(reed: Mechanics, chamber: Chamber, names: tuple[str, ...]) -> _Pushes:
         modes = reed_solver.modes(reed)
-        return _pushes(reed_solver, chamber, [modes[name] for name in names])
+        return _pushes(reed_solver, chamber, [modes[name] for name in names], elastic)
 
     def forces(parameters: BenchParameters, names: Sequence[str]) -> Array:
         reed, drive, leak = parameters.reed, parameters.drive, parameters.chamber.leak
@@ -385,7 +394,13 @@ def _pushed(pushes: _Pushes, leak: float) -> Array:
     return pushed
 
 
-def _pushes(reed_solver: ReedSolver, chamber: Chamber, modes: Sequence[ReedMode]) -> _Pushes:
+def _pushes(
+    reed_solver: ReedSolver,
+    chamber: Chamber,
+    modes: Sequence[ReedMode],
+    elastic: Mapping[str, ReedMode],
+) -> _Pushes:
+    """Compute forces on modes whose shapes are stated in units of `elastic` ones."""
     reed = reed_solver.reed
     x, y = reed.load_points_m.T
     # The standing wave times what walls and clay let through, which is its shape at 0 Hz.
@@ -405,17 +420,18 @@ def _pushes(reed_solver: ReedSolver, chamber: Chamber, modes: Sequence[ReedMode]
     sides = zip(moved, (left[0], right[0]), strict=True)
     without_signs = sum(0.5 * np.abs(wave * side) @ np.abs(open_) for side, open_ in sides)
     closed, leaking = pushed.T
-    return _Pushes(closed, leaking - closed, without_signs, _deepest(reed_solver, modes))
+    return _Pushes(closed, leaking - closed, without_signs, _deepest(reed_solver, modes, elastic))
 
 
-def _deepest(reed_solver: ReedSolver, modes: Sequence[ReedMode]) -> Array:
+def _deepest(
+    reed_solver: ReedSolver, modes: Sequence[ReedMode], elastic: Mapping[str, ReedMode]
+) -> Array:
     """Return what modes (m,) have of the elastic modes of their names, where those move most.
 
     A fit states a mode in units of that shape. If the mode is changed, it has other shapes, too:
     their largest deflection is not what its force was measured by.
     """
     reed = reed_solver.reed
-    elastic = reed_solver.modes(elastic_reed())
     shapes = np.stack([elastic.get(mode.name, mode).coordinates for mode in modes], axis=1)
     moved = np.zeros((2, len(reed.plan_m), len(modes)))
     parts = np.split(shapes, reed.starts[1:])

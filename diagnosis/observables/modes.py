@@ -59,7 +59,7 @@ _STEP = 0.01
 
 
 def modes_group(
-    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
+    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks, nominal: BenchParameters
 ) -> ObservableGroup | None:
     """Compare frequencies (cents) and losses (per cent) of all sweeps with the model.
 
@@ -70,8 +70,10 @@ def modes_group(
     sweeps : sequence of SweepReading
     reed_solver : ReedSolver
     leaks : Leaks
+    nominal : BenchParameters
+        With the cane of the sweeps' series.
     """
-    known = reed_solver.modes(BenchParameters().reed)
+    known = reed_solver.modes(nominal.reed)
     common = [name for name in common_modes(sweeps) if name in known]
     if not common:
         return None
@@ -93,8 +95,8 @@ def modes_group(
         pieces.append(own**2 * _of_fit(sweep, at))
         pieces[-1] += _of_leaks(leaks, sweep, at, [name == common[0] for name in here])
     noise = block_diag(*pieces)
-    nuisances = _nuisances(rows, common, sweeps, reed_solver, share)
-    predict = _prediction(rows, common, sweeps, reed_solver)
+    nuisances = _nuisances(rows, common, sweeps, reed_solver, nominal, share)
+    predict = _prediction(rows, common, sweeps, reed_solver, nominal)
     parts = ("reed", "environment")
     errors = Errors(noise, nuisances)
     return observable_group("modes", Observable.MODES, values, errors, places, parts, predict)
@@ -134,6 +136,7 @@ def _nuisances(
     common: Sequence[str],
     sweeps: Sequence[SweepReading],
     reed_solver: ReedSolver,
+    nominal: BenchParameters,
     share: float,
 ) -> tuple[GroupNuisances, ...]:
     """Return what sweeps have in common, and what a new clamping changes."""
@@ -156,16 +159,15 @@ def _nuisances(
     for one in sorted(set(clamping.tolist()) - {0}):
         there = clamping == one
         own = np.where(loss, _CLAMP_LOSS, _CLAMP_CENTS)[:, None] * each * there[:, None]
-        columns += [*_put_back(reed_solver, common)[:, modes] * (there & ~loss), *own.T]
+        columns += [*_put_back(reed_solver, nominal, common)[:, modes] * (there & ~loss), *own.T]
     if columns:
         table = np.stack(columns, axis=1)
         found.append(GroupNuisances("clamping", table, DISORDER, "reeds are put back by hand"))
     return tuple(found)
 
 
-def _put_back(reed_solver: ReedSolver, names: Sequence[str]) -> Array:
+def _put_back(reed_solver: ReedSolver, nominal: BenchParameters, names: Sequence[str]) -> Array:
     """Return cents (c, m) by which modes move if a reed is clamped a little differently."""
-    nominal = BenchParameters()
     place = BY_NAME["clamp_shift"].ordinary.deviation
     yielding = USUAL_COMPLIANCE_M_PA
     moved = [
@@ -221,6 +223,7 @@ def _prediction(
     common: Sequence[str],
     sweeps: Sequence[SweepReading],
     reed_solver: ReedSolver,
+    nominal: BenchParameters,
 ) -> Callable[[BenchParameters], Array]:
     names = np.array([common.index(name) for _, name, _ in rows])
     loss = np.array([what.startswith("loss") for _, _, what in rows])
@@ -232,7 +235,6 @@ def _prediction(
         times_s[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s))
         near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
         deepest_rad[r] = float(np.max(sweep.deepest_rad[near]))
-    nominal = BenchParameters()
     by_E, by_G = (_slope(reed_solver, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
 
     def predict(parameters: BenchParameters) -> Array:
@@ -269,7 +271,9 @@ def _slope(
 
 def _modes(readings: Readings, reed_solver: ReedSolver) -> ObservableGroup | None:
     sweeps = readings.sweeps
-    return modes_group(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
+    if not sweeps:
+        return None
+    return modes_group(sweeps, reed_solver, leaks_of(readings), readings.nominal)
 
 
 SOURCES: Final = (GroupSource(16, _modes),)

@@ -65,15 +65,15 @@ class _Share:
 
 
 def shapes_group(
-    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks
+    sweeps: Sequence[SweepReading], reed_solver: ReedSolver, leaks: Leaks, nominal: BenchParameters
 ) -> ObservableGroup | None:
     """Compare mode shapes with the model's; None if none is well determined."""
-    known = reed_solver.modes(BenchParameters().reed)
+    known = reed_solver.modes(nominal.reed)
     names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
     shares = _seen_shares(sweeps, names)
     if not shares:
         return None
-    elastic = _Elastic.of(reed_solver, sweeps[0])
+    elastic = _Elastic.of(reed_solver, sweeps[0], nominal)
 
     def predict(parameters: BenchParameters) -> Array:
         modes = reed_solver.modes(parameters.reed)
@@ -94,10 +94,10 @@ def shapes_group(
         Coordinates(f"share of {share.has}", mode=share.of, band=band_of(known[share.of].hz))
         for share in shares
     ]
-    columns = np.stack([predict(each) for each in _uneven()], axis=1)
+    columns = np.stack([predict(each) for each in _uneven(nominal)], axis=1)
     uneven = GroupNuisances(
         "thickness that is fine, or uneven across",
-        columns - predict(BenchParameters())[:, None],
+        columns - predict(nominal)[:, None],
         DISORDER,
         BY_NAME["thickness_map"].ordinary.source,
     )
@@ -108,9 +108,8 @@ def shapes_group(
     )  # fmt: skip
 
 
-def _uneven() -> list[BenchParameters]:
+def _uneven(nominal: BenchParameters) -> list[BenchParameters]:
     """Return ordinary reeds whose maps of thickness are odd across, or finer than nuisances."""
-    nominal = BenchParameters()
     maps = *layers(odd=True), *layers(odd=True, fine=True), *layers(odd=False, fine=True)
     layered = [each.change(nominal, each.spread) for each in maps]
     tilted = BY_NAME["clamp_tilt"]
@@ -144,9 +143,9 @@ def _amplitude(sweep: SweepReading, of: str, has: str) -> tuple[float, float] | 
     return float(sweep.mixing[at]), float(sweep.mixing_error[at])
 
 
-def elastic_reed() -> Mechanics:
-    """Return the elastic reed whose modes are the shapes that sweeps are fitted with."""
-    cane = Mechanics().cane
+def elastic_reed(nominal: BenchParameters) -> Mechanics:
+    """Return the elastic reed whose modes are the shapes that sweeps of this cane are fitted by."""
+    cane = nominal.reed.cane
     springs = (
         Zener(1e-6 * float(storage_modulus_pa(zener, SHAPES_HZ)), 0.0, 0.0)
         for zener in (cane.young_L, cane.shear_LT)
@@ -174,9 +173,11 @@ class _Elastic:
     symmetry: dict[str, Symmetry]
 
     @classmethod
-    def of(cls, reed_solver: ReedSolver, sweep: SweepReading) -> "_Elastic":
+    def of(
+        cls, reed_solver: ReedSolver, sweep: SweepReading, nominal: BenchParameters
+    ) -> "_Elastic":
         """Settle the elastic reed, with signs as a sweep's fit has them."""
-        modes = reed_solver.modes(elastic_reed())
+        modes = reed_solver.modes(elastic_reed(nominal))
         deflection, symmetry = {}, {}
         for name, at_m, value in zip(
             sweep.shape_names, sweep.shape_peak_m, sweep.shape_peak, strict=True
@@ -216,7 +217,9 @@ def _deflection(reed_solver: ReedSolver, mode: ReedMode, at_m: Array) -> tuple[f
 
 def _shapes(readings: Readings, reed_solver: ReedSolver) -> ObservableGroup | None:
     sweeps = readings.sweeps
-    return shapes_group(sweeps, reed_solver, leaks_of(readings)) if sweeps else None
+    if not sweeps:
+        return None
+    return shapes_group(sweeps, reed_solver, leaks_of(readings), readings.nominal)
 
 
 SOURCES: Final = (GroupSource(17, _shapes),)

@@ -19,7 +19,7 @@ from physics.reed.reduced.dynamics import LossFactors
 from physics.reed.reduced.response import pressure_force
 from physics.reed.reduced.stored import reduced_reed
 
-WAVELENGTH_M = 650e-9
+WAVELENGTH_M = BenchParameters().optics.layout.wavelength_m
 # So little that other modes are far away at each resonance.
 LOSS = 3e-3
 NOMINAL = BenchParameters(
@@ -37,7 +37,7 @@ def shown_rad(solver: ReedSolver, parameters: BenchParameters, name: str) -> flo
     """Return what of a resonance is seen along the elastic mode's shape, times the mode's loss."""
     mode = solver.modes(replace(parameters.reed, loss_factor=LOSS))[name]
     hz = mode.hz
-    along = solver.mass_kg @ solver.modes(elastic_reed())[name].coordinates
+    along = solver.mass_kg @ solver.modes(elastic_reed(NOMINAL))[name].coordinates
     law = cane_law(solver.reed.cane, parameters.reed.cane, parameters.reed.shift)
     force = pressure_force(solver.reed, partial(pressure_on_reed, parameters.chamber))
     moved = solver.response(parameters.reed, law.at(hz), LossFactors(LOSS, LOSS), hz, force)
@@ -56,7 +56,7 @@ def test_forces_on_altered_modes_are_seen_along_their_elastic_shapes(
     """Not in units of the largest deflection, by which they would be off by 4 to 50 %."""
     altered = with_alteration(NOMINAL, kind, amount)
     names = ("T1", "F2", "L1")
-    predict = forces_rad(solver, WAVELENGTH_M)
+    predict = forces_rad(solver, NOMINAL)
     predicted = np.log(predict(altered, names) / predict(NOMINAL, names))
     shown = [
         np.log(shown_rad(solver, altered, name) / shown_rad(solver, NOMINAL, name))

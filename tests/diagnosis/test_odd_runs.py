@@ -211,8 +211,13 @@ def test_lines_of_the_drive_go_by_the_volts_of_the_loudest_sweep() -> None:
 
 def test_sweeps_without_common_modes_tell_none() -> None:
     high = sweep("high", names=("X9",))
-    assert modes_group([sweep(), high, sweep("down")], FewModes(), NO_LEAKS).values.size == 16
-    assert modes_group([sweep(names=("X9",))], FewModes(), NO_LEAKS) is None
+    assert (
+        modes_group(
+            [sweep(), high, sweep("down")], FewModes(), NO_LEAKS, BenchParameters()
+        ).values.size
+        == 16
+    )
+    assert modes_group([sweep(names=("X9",))], FewModes(), NO_LEAKS, BenchParameters()) is None
     assert force_group([sweep(), high], FewModes(), BenchParameters()) is None
 
 
@@ -229,7 +234,9 @@ def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
 def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:
     coarse = 1000.0 * 2 ** (np.arange(24) / 6)
     deep = np.where(np.abs(coarse - 1800) == np.abs(coarse - 1800).min(), 20.0, 0.0)
-    modes = modes_group([sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS)
+    modes = modes_group(
+        [sweep(drive_hz=coarse, deepest_rad=deep)], FewModes(), NO_LEAKS, BenchParameters()
+    )
     parameters = BenchParameters()
     hard = BenchParameters(environment=type(parameters.environment)(hardening=1e-3))
     moved = modes.predict(hard) - modes.predict(parameters)

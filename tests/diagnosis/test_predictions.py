@@ -274,7 +274,11 @@ def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_thr
     monkeypatch.setattr(drive, "_pushes", lambda *_: pushes)
     reed_solver = SimpleNamespace(modes=lambda _reed: modes)
     nominal = BenchParameters(chamber=Chamber(filling=Filling.ASYMMETRIC))
-    force = forces_rad(reed_solver, 650e-9)
+
+    def with_wavelength(wavelength_m):
+        return with_part(nominal, "optics.layout", wavelength_m=wavelength_m)
+
+    force = forces_rad(reed_solver, with_wavelength(650e-9))
     usual = force(nominal, tuple(modes))
     # With the corner at 10 kHz, of a low-pass of second order: 1/√2 there, 1/√(1 + 10⁻⁴) at 1 kHz.
     cut = force(more(nominal, "drive", roll_off=1.0), tuple(modes))
@@ -282,7 +286,7 @@ def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_thr
     opened = force(more(nominal, "chamber", leak=0.6), tuple(modes))
     assert opened / usual == pytest.approx([1.3, 1.3])
     # As far as light tells: 4π over the wavelength.
-    half = forces_rad(reed_solver, 325e-9)
+    half = forces_rad(reed_solver, with_wavelength(325e-9))
     assert half(nominal, tuple(modes)) == pytest.approx(2 * usual)
 
 
@@ -307,7 +311,7 @@ def modes():
     one = sweep(begun_s=6000.0, names=NAMES, hz=np.array([2e3, 5e3]),
                 stiffening=np.full(2, GROWN), deepest_rad=np.full(160, 10.0))  # fmt: skip
     rows = [(0, name, what) for what in ("frequency, cents", "loss, %") for name in NAMES]
-    predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli))
+    predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli), BenchParameters())
     return lambda parameters: predict(parameters) - predict(BenchParameters())
 
 
@@ -333,7 +337,7 @@ def test_a_fit_that_takes_another_growth_states_another_loss() -> None:
         sweep(begun_s=0.0, names=("F1",), hz=np.array([2e3]), stiffening=np.array([each]))
         for each in (GROWN, 0.0)
     ]
-    predict = _prediction(rows, ["F1"], sweeps, SimpleNamespace(modes=of_moduli))
+    predict = _prediction(rows, ["F1"], sweeps, SimpleNamespace(modes=of_moduli), BenchParameters())
     own, elastic = predict(BenchParameters())
     assert own == pytest.approx(100 * np.log(0.03))
     assert elastic - own == pytest.approx(100 * np.log(2 / (2 - GROWN)))

@@ -1,5 +1,6 @@
 """Shapes of modes by what each has of the others, and light that no vibration has shifted."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,11 +8,13 @@ import pytest
 
 from diagnosis.inference.nuisances import layers
 from diagnosis.observables.carrier import Leaks, carrier_group, leaks_in
-from diagnosis.observables.shapes import shapes_group
+from diagnosis.observables.shapes import elastic_reed, shapes_group
 from diagnosis.readings.carrier import CarrierReading, unshifted_light
-from physics.mechanics import ReedMode, TipMass
+from fitting.fringes.start_frequencies import middling_shapes
+from physics.mechanics import ReedMode, ReedSolver, TipMass
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import BenchParameters, with_alteration, with_part
+from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.elements.fem import Symmetry
 from physics.reed.geometry import ReedGeometry
 
@@ -71,7 +74,9 @@ def predicted(block, parameters):
 
 @pytest.mark.parametrize("twist_sign", [1.0, -1.0])
 def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(twist_sign) -> None:
-    block = shapes_group([sweep(np.zeros((3, 3)), twist_sign=twist_sign)], WORKSHOP, NO_LEAKS)
+    block = shapes_group(
+        [sweep(np.zeros((3, 3)), twist_sign=twist_sign)], WORKSHOP, NO_LEAKS, BenchParameters()
+    )
     assert block is not None
     np.testing.assert_array_equal(block.predict(BenchParameters()), 0.0)
     found = predicted(block, ALTERED)
@@ -83,15 +88,19 @@ def test_shares_are_in_units_of_largest_deflections_with_the_signs_of_the_basis(
 def test_fractions_are_reported_once_and_hardly_where_fits_disagree() -> None:
     small, large = np.zeros((3, 3)), np.zeros((3, 3))
     large[1, 0] = 0.01
-    block = shapes_group([sweep(small), sweep(large), sweep(small)], WORKSHOP, NO_LEAKS)
+    block = shapes_group(
+        [sweep(small), sweep(large), sweep(small)], WORKSHOP, NO_LEAKS, BenchParameters()
+    )
     assert block is not None
     assert len(block.values) == 3
-    assert shapes_group([sweep(small, error=0.1)], WORKSHOP, NO_LEAKS) is None
+    assert shapes_group([sweep(small, error=0.1)], WORKSHOP, NO_LEAKS, BenchParameters()) is None
 
 
 def test_what_leaks_in_makes_shapes_uncertain() -> None:
-    plain = shapes_group([sweep(np.zeros((3, 3)))], WORKSHOP, NO_LEAKS)
-    spoilt = shapes_group([sweep(np.zeros((3, 3)))], WORKSHOP, Leaks({"up": 0.2}, 0.0))
+    plain = shapes_group([sweep(np.zeros((3, 3)))], WORKSHOP, NO_LEAKS, BenchParameters())
+    spoilt = shapes_group(
+        [sweep(np.zeros((3, 3)))], WORKSHOP, Leaks({"up": 0.2}, 0.0), BenchParameters()
+    )
     assert plain is not None
     assert spoilt is not None
     # Wherever uneven thickness leaves a share open, light that leaks in still counts.
@@ -220,3 +229,16 @@ def test_layers_have_nearly_all_of_the_variance_of_a_map_of_thickness():
     # Without the two of lowest degree, 26 % of the variance.
     assert shares[False] == pytest.approx(0.68, abs=0.02)
     assert shares[True] == pytest.approx(0.055, abs=0.01)
+
+
+def test_shapes_of_a_series_are_compared_with_those_that_its_fits_use(reed):
+    """Fits take the mean cane of their series, in which shapes mix by some per cent otherwise."""
+    solver, points = ReedSolver(reed), np.array([[2e-3, 4e-3, 6e-3], [1e-3, -2e-3, 3e-3]])
+    for series in Series:
+        cane = viscoelastic_cane(Components(), series)
+        basis = middling_shapes(reed, cane, *points)
+        nominal = with_part(BenchParameters(), "reed", cane=cane)
+        found = solver.modes(replace(elastic_reed(nominal), air_share=0.0))
+        for name in ("F1", "T1", "F2", "T2", "F3", "X2"):
+            hz = basis.hz[basis.names.index(name)]
+            assert found[name].hz == pytest.approx(hz, rel=1e-3)

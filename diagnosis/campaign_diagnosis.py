@@ -24,6 +24,7 @@ from diagnosis.explained_fraction import (
 )
 from diagnosis.floor_certificate import Floor, certified, floor_certificate
 from diagnosis.gap_map import GapMap, gap_map
+from diagnosis.inference.candidate_search import confirmed
 from diagnosis.inference.candidates import Candidate, without_effects
 from diagnosis.inference.discrepancy import group_discrepancies
 from diagnosis.inference.model_selection import (
@@ -273,6 +274,9 @@ def _certified(
     other, inflated = certified(problem, null)
     if inflated:
         null = without_effects(other, [null.nuisances, np.zeros(len(null.nuisances))])
+    if not null.estimate.converged:
+        # Of starts far apart, one alone may have found the best optimum.
+        null = confirmed(other, null)
     return other, null, inflated
 
 

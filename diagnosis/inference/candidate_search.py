@@ -94,7 +94,7 @@ def refit_without_effects(
     gain = null.estimate.cost - again.estimate.cost
     if gain > SAME_COST:
         # The searches that agreed had found a worse optimum.
-        return _confirmed(problem, again)
+        return confirmed(problem, again)
     kept = again if gain > 0 else null
     least = kept.estimate.cost + SAME_COST
     agreeing = null.estimate.consistent_starts + sum(end.estimate.cost < least for end in ends)
@@ -102,7 +102,7 @@ def refit_without_effects(
     return replace(kept, estimate=replace(kept.estimate, consistent_starts=agreeing, starts=tried))
 
 
-def _confirmed(problem: InferenceProblem, again: Candidate) -> Candidate:
+def confirmed(problem: InferenceProblem, again: Candidate) -> Candidate:
     """Fit the model without effects from its optimum and near it, until two searches agree.
 
     A search from near the optimum may end in a worse one, or in a better one that nothing confirms.

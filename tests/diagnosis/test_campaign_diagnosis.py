@@ -28,6 +28,7 @@ from diagnosis.experiment_design import (
 )
 from diagnosis.explained_fraction import gaps_in_units
 from diagnosis.gap_map import LadderStep
+from diagnosis.inference.candidates import without_effects
 from diagnosis.inference.model_selection import each_alone, signatures_of
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
@@ -311,6 +312,18 @@ def test_the_sweep_that_is_left_out_is_of_another_clamping_or_the_weakest() -> N
         condition_of(sweeps(("up", 0, 1.0), ("again", 1, 1.0), ("last", 2, 1.0), ("q", 0, -1.0)))
         == "last"
     )
+
+
+def test_an_optimum_that_one_start_alone_has_found_is_searched_for_again(monkeypatch) -> None:
+    def found_once(problem, starts):
+        found = without_effects(problem, starts)
+        alone = replace(found.estimate, consistent_starts=1, starts=3)
+        return replace(found, estimate=alone)
+
+    monkeypatch.setattr("diagnosis.campaign_diagnosis.without_effects", found_once)
+    found = diagnosed()
+    assert found.selection.null.estimate.converged
+    assert found.kind == "none"
 
 
 def test_what_an_effect_touches_is_what_nuisances_do_not() -> None:

@@ -42,6 +42,9 @@ _SPECKLE, _ORDER = 10.0, 10.0
 # Relative change of the light of an ordinary bench from one acquisition to the next, which adds up
 # as a random walk does.
 FIELD_CHANGE = BY_NAME["field_change"].ordinary.root_mean_square
+# Mean distance of neighbouring modes, in log frequency: the paper's reed has 15 from 1.9 to 20 kHz
+# (Table 1). Shapes, and so what they see of local light, change over this distance.
+_MODE_DISTANCE = 0.16
 # Light and vibration of a sweep are confounded as finely as modes are (decision 0047): log
 # brightness of each sweep; and in each band of a sweep of another clamping. Chosen.
 _SWEEP, _BAND = 0.01, 0.03
@@ -118,11 +121,14 @@ def brightness_group(
     noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
     own = _table([_chosen(column, {*column} - usual) for column in columns])
     walk = _walk_as_seen(table, pieces, np.array(still_s), acquired_s)
+    here = np.zeros((len(values), len(pieces)))
+    here[: len(pieces)] = _local_walk(table, pieces, acquired_s)
     errors = Errors(
         noise,
         (
             GroupNuisances("light of sweeps", own, DISORDER, "decision 0047"),
             GroupNuisances("changing field", walk, DISORDER, _CHANGES),
+            GroupNuisances("locally changing field", here, DISORDER, _CHANGES),
         ),
     )
     return observable_group(
@@ -168,6 +174,38 @@ def _walk_as_seen(
         return np.array([*of_sweeps, *np.interp(still_s, knots_s, column)])
 
     return np.stack([seen(column) for column in walk.T], axis=1)
+
+
+def _local_walk(
+    table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]], acquired_s: Array
+) -> Array:
+    """Return columns (n, n) of what pieces see of light that walks here and there on the reed.
+
+    Where the reed moves, light counts, and that changes from mode to mode: what one frequency sees
+    of a local change, another one does not.
+    """
+    log_hz = [np.log(sweep.drive_hz) for sweep in table.sweeps]
+    acquired = np.sort(acquired_s)
+    steps = [np.searchsorted(acquired, sweep.time_s).astype(float) for sweep in table.sweeps]
+    near = np.subtract.outer(np.concatenate(log_hz), np.concatenate(log_hz)) / _MODE_DISTANCE
+    together = np.concatenate(steps)
+    walk = np.minimum.outer(together, together) * np.exp(-0.5 * near**2)
+    seen = _as_pieces(table, pieces)
+    values, vectors = np.linalg.eigh(seen @ walk @ seen.T)
+    columns: Array = FIELD_CHANGE * vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns
+
+
+def _as_pieces(table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]]) -> Array:
+    """Return the weights (n, k) of the holograms of all sweeps in the relative light of pieces."""
+    ends = np.cumsum([0, *(len(sweep.time_s) for sweep in table.sweeps)])
+    weights = np.zeros((len(pieces), ends[-1]))
+    for hologram in range(ends[-1]):
+        one = np.zeros(ends[-1])
+        one[hologram] = 1.0
+        relative = table.less_mean(np.split(one, ends[1:-1]))
+        weights[:, hologram] = [np.mean(relative[row][at]) for row, at in pieces]
+    return weights
 
 
 def _walk(at_s: Array, acquired_s: Array) -> Array:

@@ -77,7 +77,7 @@ def test_brightness_that_walks_is_as_uncertain_as_walks_make_it() -> None:
     rng, names, k = np.random.default_rng(8), ("up", "down", "shuffled"), np.arange(COUNT)
     order = {"up": k, "down": k[::-1], "shuffled": rng.permutation(COUNT)}
     sums = []
-    for _ in range(200):
+    for _ in range(60):
         walk = np.cumsum(FIELD_CHANGE * rng.standard_normal(len(names) * COUNT))
         sweeps = [sweep(name, 1.0, 0.0) for name in names]
         for number, one in enumerate(sweeps):
@@ -86,10 +86,37 @@ def test_brightness_that_walks_is_as_uncertain_as_walks_make_it() -> None:
             one.signal = np.sin(k / 20) + walk[place] + 1e-3 * rng.standard_normal(COUNT)
         block = brightness_group(sweeps, [])
         off = block.values - block.predict(BenchParameters())
-        sums.append(off @ np.linalg.solve(block.covariance, off) / len(off))
+        everywhere = [n for n in block.errors.nuisances if not n.name.startswith("locally")]
+        covariance = block.errors.covariance(everywhere)
+        sums.append(off @ np.linalg.solve(covariance, off) / len(off))
     # Whole sweeps differ by less than is allowed for; a sum of squares of 24 scatters by 0.29.
     assert np.mean(sums) == pytest.approx(0.9, abs=0.15)
     assert np.quantile(sums, 0.95) < 1.8
+
+
+def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> None:
+    """Each of forty places walks by itself, and counts around frequencies of its own."""
+    rng, names, k = np.random.default_rng(9), ("up", "down", "shuffled"), np.arange(COUNT)
+    order = {"up": k, "down": k[::-1], "shuffled": rng.permutation(COUNT)}
+    places = 40
+    log_hz = np.log(sweep("up", 1.0, 0.0).drive_hz)
+    off = []
+    for _ in range(80):
+        middle = rng.uniform(log_hz[0] - 0.5, log_hz[-1] + 0.5, places)
+        loads = np.exp(-(((log_hz[:, None] - middle) / 0.16) ** 2))
+        loads *= rng.choice([-1, 1], places) / np.sqrt(np.mean(np.sum(loads**2, axis=1)))
+        walk = np.cumsum(FIELD_CHANGE * rng.standard_normal((len(names) * COUNT, places)), axis=0)
+        sweeps = [sweep(name, 1.0, 0.0) for name in names]
+        for number, one in enumerate(sweeps):
+            place = COUNT * number + order[one.name]
+            one.time_s = 60.0 + place
+            one.signal = np.sum(walk[place] * loads, axis=1)
+        block = brightness_group(sweeps, [])
+        off.append(block.values - block.predict(BenchParameters()))
+    local = [each for each in block.errors.nuisances if each.name.startswith("locally")]
+    stated = np.sum(local[0].columns ** 2, axis=1)
+    assert np.mean(np.square(off), axis=0) / stated == pytest.approx(np.ones(24), abs=0.6)
+    assert np.mean(np.square(off)) / np.mean(stated) == pytest.approx(1.0, abs=0.15)
 
 
 def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None:

@@ -77,7 +77,7 @@ def test_brightness_that_walks_is_as_uncertain_as_walks_make_it() -> None:
     rng, names, k = np.random.default_rng(8), ("up", "down", "shuffled"), np.arange(COUNT)
     order = {"up": k, "down": k[::-1], "shuffled": rng.permutation(COUNT)}
     sums = []
-    for _ in range(60):
+    for _ in range(40):
         walk = np.cumsum(FIELD_CHANGE * rng.standard_normal(len(names) * COUNT))
         sweeps = [sweep(name, 1.0, 0.0) for name in names]
         for number, one in enumerate(sweeps):
@@ -101,7 +101,7 @@ def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> N
     places = 40
     log_hz = np.log(sweep("up", 1.0, 0.0).drive_hz)
     off = []
-    for _ in range(80):
+    for _ in range(40):
         middle = rng.uniform(log_hz[0] - 0.5, log_hz[-1] + 0.5, places)
         loads = np.exp(-(((log_hz[:, None] - middle) / 0.16) ** 2))
         loads *= rng.choice([-1, 1], places) / np.sqrt(np.mean(np.sum(loads**2, axis=1)))
@@ -115,8 +115,10 @@ def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> N
         off.append(block.values - block.predict(BenchParameters()))
     local = [each for each in block.errors.nuisances if each.name.startswith("locally")]
     stated = np.sum(local[0].columns ** 2, axis=1)
-    assert np.mean(np.square(off), axis=0) / stated == pytest.approx(np.ones(24), abs=0.6)
-    assert np.mean(np.square(off)) / np.mean(stated) == pytest.approx(1.0, abs=0.15)
+    found = np.mean(np.square(off), axis=0)
+    assert found.mean() / stated.mean() == pytest.approx(1.0, abs=0.2)
+    of_sweeps = found.reshape(3, 8).sum(axis=1) / stated.reshape(3, 8).sum(axis=1)
+    assert of_sweeps == pytest.approx(np.ones(3), abs=0.35)
 
 
 def test_runs_at_rest_are_averaged_by_themselves_however_long_they_are() -> None:

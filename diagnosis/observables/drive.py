@@ -20,13 +20,9 @@ from diagnosis.observable_groups import (
     observable_group,
 )
 from diagnosis.observable_source import GroupSource
+from diagnosis.observables.brightness import acquisition_times_s, field_changing, log_light
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.light import (
-    acquisition_times_s,
-    field_changing,
-    leaks_of,
-    log_light,
-)
+from diagnosis.observables.light import leaks_of
 from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest

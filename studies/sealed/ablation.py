@@ -128,7 +128,13 @@ ABLATIONS: Final = (
     Ablation(
         "light changes by nothing but what is seen at rest",
         nuisances=frozenset(
-            {"light of sweeps", "changing field", "noise of sweeps", "laser power"}
+            {
+                "light of sweeps",
+                "changing field",
+                "locally changing field",
+                "noise of sweeps",
+                "laser power",
+            }
         ),
     ),
     Ablation(

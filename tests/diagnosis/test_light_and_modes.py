@@ -5,14 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis.observables.brightness import FIELD_CHANGE, brightness_group, field_changing
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _torn
-from diagnosis.observables.light import (
-    FIELD_CHANGE,
-    brightness_group,
-    field_changing,
-    noise_group,
-)
+from diagnosis.observables.light import noise_group
 from diagnosis.observables.modes import _of_leaks
 from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
 from physics.parameters.sensor import Sensor

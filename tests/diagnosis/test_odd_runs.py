@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
+from diagnosis.observables.brightness import brightness_group
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import excitation_group, force_group, level_group
 from diagnosis.observables.frequency_lock import lock_group, lock_scatter_hz
-from diagnosis.observables.light import (
-    brightness_group,
-    fringe_group,
-    mixing_in,
-    noise_group,
-)
+from diagnosis.observables.light import fringe_group, mixing_in, noise_group
 from diagnosis.observables.modes import modes_group
 from diagnosis.observables.reed_at_rest import phase_turn_group, usual_scatter_hz
 from diagnosis.readings.camera import read_dark, read_flat

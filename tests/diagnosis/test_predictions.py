@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from diagnosis.observables import drive
+from diagnosis.observables.brightness import brightness_group
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _mean_drive, excitation_group, forces_rad, level_group
 from diagnosis.observables.frequency_lock import lock_group, lost_frames_group
-from diagnosis.observables.light import (
-    brightness_group,
-    fringe_group,
-    noise_group,
-)
+from diagnosis.observables.light import fringe_group, noise_group
 from diagnosis.observables.modes import _prediction
 from diagnosis.observables.reed_at_rest import phase_scatter_group, phase_turn_group
 from diagnosis.readings.step_log import StepLog

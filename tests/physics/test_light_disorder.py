@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from diagnosis.observables.light import log_light
+from diagnosis.observables.brightness import log_light
 from physics.bench import BenchModel, BenchState, Scene, Segment
 from physics.motion import PlainMotion
 from physics.object_light import renewed, smooth_shapes, smoothly_changed

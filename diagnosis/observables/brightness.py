@@ -1,0 +1,358 @@
+"""Brightness of fringes during a campaign, and what light changes by."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.observable_groups import (
+    BANDS,
+    DISORDER,
+    Coordinates,
+    Errors,
+    GroupNuisances,
+    Observable,
+    ObservableGroup,
+    band_of,
+    observable_group,
+)
+from diagnosis.observable_source import GroupSource
+from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.reed_at_rest import RestHolograms
+from diagnosis.readings.sweeps import SweepReading, at_highest_level
+from holography.arrays import Array
+from physics.mechanics import ReedSolver
+from physics.optics import log_laser_power
+from physics.parameters.disorder import BY_NAME
+from physics.parameters.optics import Interference
+from physics.parameters.tree import BenchParameters
+
+_CHANGES = BY_NAME["field_change"].ordinary.source
+# Pieces of a sweep's time.
+PIECES = 8
+# Sweeps end together if they do within so much of log frequency.
+_ENDS = 0.03
+# Chance brightness is correlated over this many acquisitions.
+_ALIKE = 3.0
+# Log brightness that is anyone's: from one speckle to another, and between order 0 and the others.
+_SPECKLE, _ORDER = 10.0, 10.0
+# Relative change of the light of an ordinary bench from one acquisition to the next, which adds up
+# as a random walk does.
+FIELD_CHANGE = BY_NAME["field_change"].ordinary.root_mean_square
+# Mean distance of neighbouring modes, in log frequency: the paper's reed has 15 from 1.9 to 20 kHz
+# (Table 1). Shapes, and so what they see of local light, change over this distance.
+_MODE_DISTANCE = 0.16
+# Light and vibration of a sweep are confounded as finely as modes are (decision 0047): log
+# brightness of each sweep; and in each band of a sweep of another clamping. Chosen.
+_SWEEP, _BAND = 0.01, 0.03
+
+
+def log_light(time_s: Array, beams: Interference) -> Array:
+    """Return the log of the fringes' amplitude at times (any shape) since the campaign began."""
+    after = time_s > 3600 * beams.hop_after_h
+    hop: Array = np.log1p(-min(beams.hop, 0.95)) * after
+    # Both beams are of the laser's power, and fringes are the product of both amplitudes.
+    return log_laser_power(beams, time_s) + hop
+
+
+def brightness_group(
+    sweeps: Sequence[SweepReading], stills: Sequence[RestHolograms]
+) -> ObservableGroup:
+    """Compare the brightness of fringes over time, of all sweeps and at rest.
+
+    What holograms of one drive show is vibration times light: sweeps that repeat others tell how
+    the light differs, whatever the vibration is. Sweeps at another level depend on the drive.
+    """
+    acquired_s = acquisition_times_s(sweeps)
+    sweeps = at_highest_level(sweeps)
+    table = _Brightness.of(sweeps)
+    values, variance, places, columns = [], [], [], []
+    pieces: list[tuple[int, NDArray[np.intp]]] = []
+    spreads: list[float] = []
+    for row, sweep in enumerate(sweeps):
+        order = np.argsort(sweep.time_s)
+        own = table.relative[row][order]
+        spread = scatter_of(own[table.within(row)[order]])
+        spreads.append(spread)
+        for number, every in enumerate(np.array_split(order, PIECES)):
+            piece = every[table.within(row)[every]]
+            if not piece.size:
+                continue
+            values.append(float(np.median(table.relative[row][piece])))
+            variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
+            pieces.append((row, piece))
+            places.append(Coordinates("fringes", time=f"{sweep.name} {number + 1}"))
+            columns.append(table.shared(row, piece))
+    still_s: list[float] = []
+    for still in stills:
+        # A few acquisitions may agree by chance; the light is that of the sweeps.
+        own_spread = max(scatter_of(still.brightness), float(np.median(spreads)), 5e-3)
+        for number, at in enumerate(still.run_time_s):
+            own_brightness = still.brightness[still.run == number]
+            values.append(float(np.mean(own_brightness)))
+            variance.append(_ALIKE * own_spread**2 / len(own_brightness))
+            still_s.append(float(at))
+            places.append(Coordinates("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
+            columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
+
+    def predict(parameters: BenchParameters) -> Array:
+        relative = table.of_light(lambda time_s: log_light(time_s, parameters.optics.interference))
+        of_sweeps = [float(np.median(relative[row][at])) for row, at in pieces]
+        at_rest = log_light(np.array(still_s), parameters.optics.interference)
+        return np.array([*of_sweeps, *at_rest])
+
+    usual = {name for column in columns for name in column if _is_open(name)}
+    noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
+    own = columns_of([_chosen(column, {*column} - usual) for column in columns])
+    errors = Errors(
+        noise,
+        (
+            GroupNuisances("light of sweeps", own, DISORDER, "decision 0047"),
+            *_changes(table, pieces, np.array(still_s), acquired_s),
+        ),
+    )
+    return observable_group(
+        "brightness", Observable.FIELD, values, errors, places, ("optics",), predict
+    )
+
+
+def _is_open(name: str) -> bool:
+    """Whether brightness is anyone's in such a comparison: of other speckle, of another order."""
+    return name.startswith(("speckle", "order"))
+
+
+def _chosen(column: dict[str, float], names: set[str]) -> dict[str, float]:
+    return {name: size for name, size in column.items() if name in names}
+
+
+def _changes(
+    table: "_Brightness",
+    pieces: Sequence[tuple[int, NDArray[np.intp]]],
+    still_s: Array,
+    acquired_s: Array,
+) -> tuple[GroupNuisances, GroupNuisances]:
+    """Return what light changes by, on all of the reed and here and there; see `_walk_as_seen`."""
+    here = _local_walk(table, pieces, acquired_s)
+    # The mean over a reed at rest shows nothing of it.
+    at_rest = np.zeros((len(still_s), here.shape[1]))
+    return (
+        GroupNuisances(
+            "changing field", _walk_as_seen(table, pieces, still_s, acquired_s), DISORDER, _CHANGES
+        ),
+        GroupNuisances("locally changing field", np.vstack([here, at_rest]), DISORDER, _CHANGES),
+    )
+
+
+def _walk_as_seen(
+    table: "_Brightness",
+    pieces: Sequence[tuple[int, NDArray[np.intp]]],
+    still_s: Array,
+    acquired_s: Array,
+) -> Array:
+    """Return columns (n, n) whose amounts make a random walk of the light, as numbers show it.
+
+    Pieces of sweeps show it less its mean over the sweeps, and acquisitions at rest as it is.
+
+    Parameters
+    ----------
+    table : _Brightness
+    pieces : sequence of (int, (p,) int)
+        Number of a sweep and its holograms.
+    still_s : (r,) float
+    acquired_s : (k,) float
+        Times of all acquisitions.
+    """
+    own_s = [float(np.mean(table.sweeps[row].time_s[at])) for row, at in pieces]
+    knots_s = np.sort(np.concatenate([own_s, still_s]))
+    walk = _walk(knots_s, acquired_s)
+
+    def seen(column: Array) -> Array:
+        relative = table.of_light(lambda time_s: np.interp(time_s, knots_s, column))
+        of_sweeps = [np.mean(relative[row][at]) for row, at in pieces]
+        return np.array([*of_sweeps, *np.interp(still_s, knots_s, column)])
+
+    return np.stack([seen(column) for column in walk.T], axis=1)
+
+
+def _local_walk(
+    table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]], acquired_s: Array
+) -> Array:
+    """Return columns (n, n) of what pieces see of light that walks here and there on the reed.
+
+    Where the reed moves, light counts, and that changes from mode to mode: what one frequency sees
+    of a local change, another one does not.
+    """
+    log_hz = [np.log(sweep.drive_hz) for sweep in table.sweeps]
+    acquired = np.sort(acquired_s)
+    steps = [np.searchsorted(acquired, sweep.time_s).astype(float) for sweep in table.sweeps]
+    near = np.subtract.outer(np.concatenate(log_hz), np.concatenate(log_hz)) / _MODE_DISTANCE
+    together = np.concatenate(steps)
+    walk = np.minimum.outer(together, together) * np.exp(-0.5 * near**2)
+    seen = _as_pieces(table, pieces)
+    values, vectors = np.linalg.eigh(seen @ walk @ seen.T)
+    columns: Array = FIELD_CHANGE * vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns
+
+
+def _as_pieces(table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]]) -> Array:
+    """Return the weights (n, k) of the holograms of all sweeps in the relative light of pieces."""
+    ends = np.cumsum([0, *(len(sweep.time_s) for sweep in table.sweeps)])
+    weights = np.zeros((len(pieces), ends[-1]))
+    for hologram in range(ends[-1]):
+        one = np.zeros(ends[-1])
+        one[hologram] = 1.0
+        relative = table.less_mean(np.split(one, ends[1:-1]))
+        weights[:, hologram] = [np.mean(relative[row][at]) for row, at in pieces]
+    return weights
+
+
+def _walk(at_s: Array, acquired_s: Array) -> Array:
+    """Return columns (n, n) whose amounts make a random walk, one step for each acquisition.
+
+    Parameters
+    ----------
+    at_s : (n,) float
+        Times of the numbers.
+    acquired_s : (k,) float
+        Times of all acquisitions.
+    """
+    steps = np.searchsorted(np.sort(acquired_s), at_s).astype(float)
+    return FIELD_CHANGE * walk_columns(steps)
+
+
+def walk_columns(steps: Array) -> Array:
+    """Return columns (n, n) whose amounts make a random walk with unit steps.
+
+    Parameters
+    ----------
+    steps : (n,) float
+        Number of steps before each of the numbers.
+    """
+    after = steps - steps.min()
+    values, vectors = np.linalg.eigh(np.minimum.outer(after, after))
+    columns: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns
+
+
+def acquisition_times_s(sweeps: Sequence[SweepReading]) -> Array:
+    """Return the times (k,) of all acquisitions of some sweeps."""
+    return np.concatenate([sweep.time_s for sweep in sweeps])
+
+
+def field_changing(
+    times_s: Sequence[tuple[Array, Array]], compared: Sequence[SweepReading], acquired_s: Array
+) -> GroupNuisances:
+    """Return what light changes by along and between two sweeps, for numbers that compare them.
+
+    Parameters
+    ----------
+    times_s : sequence of ((k,) float, (k,) float)
+        Times of the holograms of each number in either sweep.
+    compared : sequence of SweepReading
+        Sweeps that are compared.
+    acquired_s : (k,) float
+        Times of all acquisitions, also of other sweeps.
+    """
+    ends = np.array([[np.mean(each) for each in pair] for pair in times_s])
+    columns = _walk(ends.T.ravel(), acquired_s)
+    # From the light at one time to that at the other.
+    walk = columns[: len(ends)] - columns[len(ends) :]
+    whole = FIELD_CHANGE * np.sqrt(len(acquisition_times_s(compared)) / 2)
+    between = whole * np.ones((len(times_s), 1))
+    return GroupNuisances("changing field", np.hstack([walk, between]), DISORDER, "as light")
+
+
+@dataclass(frozen=True)
+class _Brightness:
+    """Light of each sweep compared with the mean of sweeps of one clamping, by hologram.
+
+    Attributes
+    ----------
+    sweeps : sequence of SweepReading
+        Of one level.
+    like : (s,) bool
+        Sweeps of the first clamping.
+    relative : tuple of (k,) float
+    """
+
+    sweeps: Sequence[SweepReading]
+    like: NDArray[np.bool_]
+    relative: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, sweeps: Sequence[SweepReading]) -> "_Brightness":
+        """Compare the sweeps of a campaign."""
+        like = np.array([sweep.clamping == sweeps[0].clamping for sweep in sweeps])
+        signals = [sweep.signal - np.log(sweep.volts) for sweep in sweeps]
+        return cls(sweeps, like, cls(sweeps, like, ()).less_mean(signals))
+
+    def less_mean(self, series: Sequence[Array]) -> tuple[Array, ...]:
+        """Return series (k,) of each sweep less the mean over the first clamping's sweeps."""
+        grid = np.log(self.sweeps[0].drive_hz)
+        alike = [
+            np.interp(grid, np.log(sweep.drive_hz), own)
+            for sweep, own, counts in zip(self.sweeps, series, self.like, strict=True)
+            if counts
+        ]
+        mean = np.mean(alike, axis=0)
+        return tuple(
+            own - np.interp(np.log(sweep.drive_hz), grid, mean)
+            for sweep, own in zip(self.sweeps, series, strict=True)
+        )
+
+    def within(self, row: int) -> NDArray[np.bool_]:
+        """Return which holograms (k,) of a sweep are at frequencies that all others have."""
+        ends = [
+            np.log(s.drive_hz) for s, counts in zip(self.sweeps, self.like, strict=True) if counts
+        ]
+        low, high = max(log.min() for log in ends), min(log.max() for log in ends)
+        own = np.log(self.sweeps[row].drive_hz)
+        inside: NDArray[np.bool_] = (own > low - _ENDS) & (own < high + _ENDS)
+        return inside
+
+    def of_light(self, light: Callable[[Array], Array]) -> tuple[Array, ...]:
+        """Return the light expected relative to the mean, for a given light at each time."""
+        return self.less_mean([light(sweep.time_s) for sweep in self.sweeps])
+
+    def shared(self, row: int, piece: NDArray[np.intp]) -> dict[str, float]:
+        """What a piece of a sweep shares with others, by name, with deviations."""
+        sweep = self.sweeps[row]
+        columns = {f"sweep {sweep.name}": _SWEEP}
+        if self.like[row]:
+            return columns
+        columns[f"speckle beside {sweep.clamping}"] = _SPECKLE
+        bands = np.array([band_of(hz) for hz in sweep.drive_hz[piece]])
+        for band in BANDS:
+            columns[f"{band} of {sweep.name}"] = _BAND * float(np.mean(bands == band))
+        return columns
+
+
+def _shared(columns: Sequence[dict[str, float]]) -> Array:
+    """Covariance (n, n) of what is shared by numbers, each a name with a deviation."""
+    table = columns_of(columns)
+    shared: Array = table @ table.T
+    return shared
+
+
+def columns_of(columns: Sequence[dict[str, float]]) -> Array:
+    """Return the columns (n, k) of what is shared by numbers."""
+    names = sorted({name for column in columns for name in column})
+    rows = [[column.get(name, 0.0) for name in names] for column in columns]
+    return np.array(rows, dtype=float).reshape(len(columns), len(names))
+
+
+def scatter_of(series: Array) -> float:
+    """Scatter from one number to the next, as of numbers without memory; 0 of fewer than two."""
+    steps = np.diff(series)
+    if not steps.size:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))
+
+
+def _brightness(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
+    return brightness_group(readings.sweeps, readings.stills) if readings.sweeps else None
+
+
+SOURCES: Final = (GroupSource(10, _brightness),)

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from diagnosis.observable_groups import (
     BANDS,
@@ -41,9 +42,9 @@ _SPECKLE, _ORDER = 10.0, 10.0
 # Relative change of the light of an ordinary bench from one acquisition to the next, which adds up
 # as a random walk does.
 FIELD_CHANGE = BY_NAME["field_change"].ordinary.root_mean_square
-# Mean distance of neighbouring modes, in log frequency: the paper's reed has 15 from 1.9 to 20 kHz
-# (Table 1). Shapes, and so what they see of local light, change over this distance.
-_MODE_DISTANCE = 0.16
+# Mean distance of neighbouring modes, in log frequency: Table 1 of the paper has 13 of series A,
+# from 1996 to 18 497 Hz. Shapes, and so what they see of local light, change over this distance.
+_MODE_DISTANCE = 0.19
 # Light and vibration of a sweep are confounded as finely as modes are (decision 0047): log
 # brightness of each sweep; and in each band of a sweep of another clamping. Chosen.
 _SWEEP, _BAND = 0.01, 0.03
@@ -133,27 +134,10 @@ def _changes(
     still_s: Array,
     acquired_s: Array,
 ) -> tuple[GroupNuisances, GroupNuisances]:
-    """Return what light changes by, on all of the reed and here and there; see `_walk_as_seen`."""
-    here = _local_walk(table, pieces, acquired_s)
-    # The mean over a reed at rest shows nothing of it.
-    at_rest = np.zeros((len(still_s), here.shape[1]))
-    return (
-        GroupNuisances(
-            "changing field", _walk_as_seen(table, pieces, still_s, acquired_s), DISORDER, _CHANGES
-        ),
-        GroupNuisances("locally changing field", np.vstack([here, at_rest]), DISORDER, _CHANGES),
-    )
+    """Return what light changes by as a random walk, on all of the reed, and here and there.
 
-
-def _walk_as_seen(
-    table: "_Brightness",
-    pieces: Sequence[tuple[int, NDArray[np.intp]]],
-    still_s: Array,
-    acquired_s: Array,
-) -> Array:
-    """Return columns (n, n) whose amounts make a random walk of the light, as numbers show it.
-
-    Pieces of sweeps show it less its mean over the sweeps, and acquisitions at rest as it is.
+    Where the reed moves, light counts, and that changes from mode to mode: what one frequency sees
+    of a local change, another one does not. The mean over a reed at rest shows nothing of it.
 
     Parameters
     ----------
@@ -161,65 +145,50 @@ def _walk_as_seen(
     pieces : sequence of (int, (p,) int)
         Number of a sweep and its holograms.
     still_s : (r,) float
+        Times at rest.
     acquired_s : (k,) float
         Times of all acquisitions.
     """
-    own_s = [float(np.mean(table.sweeps[row].time_s[at])) for row, at in pieces]
-    knots_s = np.sort(np.concatenate([own_s, still_s]))
-    walk = _walk(knots_s, acquired_s)
-
-    def seen(column: Array) -> Array:
-        relative = table.of_light(lambda time_s: np.interp(time_s, knots_s, column))
-        of_sweeps = [np.mean(relative[row][at]) for row, at in pieces]
-        return np.array([*of_sweeps, *np.interp(still_s, knots_s, column)])
-
-    return np.stack([seen(column) for column in walk.T], axis=1)
-
-
-def _local_walk(
-    table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]], acquired_s: Array
-) -> Array:
-    """Return columns (n, n) of what pieces see of light that walks here and there on the reed.
-
-    Where the reed moves, light counts, and that changes from mode to mode: what one frequency sees
-    of a local change, another one does not.
-    """
-    log_hz = [np.log(sweep.drive_hz) for sweep in table.sweeps]
-    acquired = np.sort(acquired_s)
-    steps = [np.searchsorted(acquired, sweep.time_s).astype(float) for sweep in table.sweeps]
-    near = np.subtract.outer(np.concatenate(log_hz), np.concatenate(log_hz)) / _MODE_DISTANCE
-    together = np.concatenate(steps)
-    walk = np.minimum.outer(together, together) * np.exp(-0.5 * near**2)
+    at_s, rest = acquisition_times_s(table.sweeps), np.eye(len(still_s))
+    steps = _steps(np.concatenate([at_s, still_s]), acquired_s)
+    walk = np.minimum.outer(steps, steps)
+    log_hz = np.log(np.concatenate([sweep.drive_hz for sweep in table.sweeps]))
+    near = np.exp(-0.5 * (np.subtract.outer(log_hz, log_hz) / _MODE_DISTANCE) ** 2)
     seen = _as_pieces(table, pieces)
-    values, vectors = np.linalg.eigh(seen @ walk @ seen.T)
-    columns: Array = FIELD_CHANGE * vectors * np.sqrt(np.maximum(values, 0.0))
-    return columns
+    of_all, local = block_diag(seen, rest), block_diag(seen, 0 * rest)
+    columns = (
+        FIELD_CHANGE * _root(of_all @ walk @ of_all.T),
+        FIELD_CHANGE * _root(local @ (walk * block_diag(near, rest)) @ local.T),
+    )
+    names = "changing field", "locally changing field"
+    everywhere, here = (
+        GroupNuisances(name, own, DISORDER, _CHANGES)
+        for name, own in zip(names, columns, strict=True)
+    )
+    return everywhere, here
 
 
 def _as_pieces(table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp]]]) -> Array:
     """Return the weights (n, k) of the holograms of all sweeps in the relative light of pieces."""
     ends = np.cumsum([0, *(len(sweep.time_s) for sweep in table.sweeps)])
     weights = np.zeros((len(pieces), ends[-1]))
-    for hologram in range(ends[-1]):
-        one = np.zeros(ends[-1])
-        one[hologram] = 1.0
+    for hologram, one in enumerate(np.eye(ends[-1])):
         relative = table.less_mean(np.split(one, ends[1:-1]))
         weights[:, hologram] = [np.mean(relative[row][at]) for row, at in pieces]
     return weights
 
 
-def _walk(at_s: Array, acquired_s: Array) -> Array:
-    """Return columns (n, n) whose amounts make a random walk, one step for each acquisition.
-
-    Parameters
-    ----------
-    at_s : (n,) float
-        Times of the numbers.
-    acquired_s : (k,) float
-        Times of all acquisitions.
-    """
+def _steps(at_s: Array, acquired_s: Array) -> Array:
+    """Return how many acquisitions (n,) there are between the first of some times and each."""
     steps = np.searchsorted(np.sort(acquired_s), at_s).astype(float)
-    return FIELD_CHANGE * walk_columns(steps)
+    return np.asarray(steps - steps.min(initial=np.inf))
+
+
+def _root(covariance: Array) -> Array:
+    """Return columns (n, n) whose independent amounts have a covariance (n, n)."""
+    values, vectors = np.linalg.eigh(covariance)
+    columns: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns
 
 
 def walk_columns(steps: Array) -> Array:
@@ -231,9 +200,7 @@ def walk_columns(steps: Array) -> Array:
         Number of steps before each of the numbers.
     """
     after = steps - steps.min()
-    values, vectors = np.linalg.eigh(np.minimum.outer(after, after))
-    columns: Array = vectors * np.sqrt(np.maximum(values, 0.0))
-    return columns
+    return _root(np.minimum.outer(after, after))
 
 
 def acquisition_times_s(sweeps: Sequence[SweepReading]) -> Array:
@@ -256,7 +223,7 @@ def field_changing(
         Times of all acquisitions, also of other sweeps.
     """
     ends = np.array([[np.mean(each) for each in pair] for pair in times_s])
-    columns = _walk(ends.T.ravel(), acquired_s)
+    columns = FIELD_CHANGE * walk_columns(_steps(ends.T.ravel(), acquired_s))
     # From the light at one time to that at the other.
     walk = columns[: len(ends)] - columns[len(ends) :]
     whole = FIELD_CHANGE * np.sqrt(len(acquisition_times_s(compared)) / 2)
@@ -291,12 +258,12 @@ class _Brightness:
     def less_mean(self, series: Sequence[Array]) -> tuple[Array, ...]:
         """Return series (k,) of each sweep less the mean over the first clamping's sweeps."""
         grid = np.log(self.sweeps[0].drive_hz)
-        alike = [
+        compared = [
             np.interp(grid, np.log(sweep.drive_hz), own)
             for sweep, own, counts in zip(self.sweeps, series, self.like, strict=True)
             if counts
         ]
-        mean = np.mean(alike, axis=0)
+        mean = np.mean(compared, axis=0)
         return tuple(
             own - np.interp(np.log(sweep.drive_hz), grid, mean)
             for sweep, own in zip(self.sweeps, series, strict=True)
@@ -322,7 +289,7 @@ class _Brightness:
         columns = {f"sweep {sweep.name}": _SWEEP}
         if self.like[row]:
             return columns
-        columns[f"speckle beside {sweep.clamping}"] = _SPECKLE
+        columns[f"speckle between {sweep.clamping}"] = _SPECKLE
         bands = np.array([band_of(hz) for hz in sweep.drive_hz[piece]])
         for band in BANDS:
             columns[f"{band} of {sweep.name}"] = _BAND * float(np.mean(bands == band))

@@ -99,7 +99,8 @@ def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> N
     off = []
     for _ in range(40):
         middle = rng.uniform(log_hz[0] - 0.5, log_hz[-1] + 0.5, places)
-        loads = np.exp(-(((log_hz[:, None] - middle) / 0.16) ** 2))
+        # Their products are correlated over the mean distance of modes, 0.19.
+        loads = np.exp(-(((log_hz[:, None] - middle) / 0.19) ** 2))
         loads *= rng.choice([-1, 1], places) / np.sqrt(np.mean(np.sum(loads**2, axis=1)))
         walk = np.cumsum(FIELD_CHANGE * rng.standard_normal((len(names) * COUNT, places)), axis=0)
         sweeps = [sweep(name, 1.0, 0.0) for name in names]

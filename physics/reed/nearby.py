@@ -39,6 +39,9 @@ _LEAST_PROGRESS = 0.8
 # A step that is a larger fraction of a shape than this comes from modes too close for it, and is
 # not taken. Chosen: as in `physics.reed.reduced.vibrations`.
 _MOST_CORRECTION = 0.5
+# First order says nothing of modes that it moves by more than this in log frequency. Chosen: an
+# octave and a half; reeds that are near have modes within a tenth of that.
+_MOST_MOVED = 1.0
 # Springs of another clamp move the strips in the same directions, but for this fraction.
 _SAME_DIRECTIONS = 1e-8
 
@@ -149,7 +152,10 @@ def _followed(
     def to_own(vectors: Array) -> Array:
         return np.vstack([vectors[:held], back @ vectors[held:]])
 
-    x, hz = _mixed(full, to_own(known.group.vectors), known.group.hz)
+    begun = _mixed(full, to_own(known.group.vectors), known.group.hz)
+    if begun is None:
+        return None
+    x, hz = begun
     # A first step may be as large as it likes: no step before says how fast steps fall.
     last, done = np.full(len(hz), np.inf), np.zeros(len(hz), dtype=bool)
     stacked = full.matrices.reshape(-1, x.shape[0])
@@ -175,18 +181,25 @@ def _followed(
     return _certain(own, full, hz, x, done, highest_hz)
 
 
-def _mixed(full: Dynamics, x: Array, hz: Array) -> tuple[Array, Array]:
+def _mixed(full: Dynamics, x: Array, hz: Array) -> tuple[Array, Array] | None:
     """Return vectors (n, m) and frequencies (m,) after what known modes exchange, to first order.
+
+    None if to first order a mode would move by more than a reed that is near can.
 
     Modes that are close move as the eigenvalues of a small matrix, and mix as its eigenvectors do:
     see `physics.reed.reduced.derivatives.predicted_hz`.
     """
     amounts, slopes = full.amounts(hz)
     products = (full.matrices.reshape(-1, len(x)) @ x).reshape(len(full.matrices), *x.shape)
-    scale = np.sqrt(-np.einsum("cm,mi,icm->m", x, slopes, products, optimize=True))
+    squares = -np.einsum("cm,mi,icm->m", x, slopes, products, optimize=True)
+    if squares.min() <= 0:
+        return None
+    scale = np.sqrt(squares)
     unit = x / scale
     coupled = unit.T @ np.einsum("mi,icm->cm", amounts, products, optimize=True) / scale
     values, vectors = np.linalg.eigh(np.diag(np.log(hz)) + 0.5 * (coupled + coupled.T))
+    if np.abs(values - np.sort(np.log(hz))).max() > _MOST_MOVED:
+        return None
     # Each goes on with the inverse of the known mode that it has most of.
     _, order = linear_sum_assignment(np.square(vectors), maximize=True)
     return (unit @ vectors[:, order]) * scale, np.exp(values[order])

@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.mechanics import (
-    CaneShift,
-    Layer,
-    Mechanics,
-    MovedClamp,
-    ReedSolver,
-    YieldingClamp,
-)
+from physics.alterations import Layer, MovedClamp, YieldingClamp
+from physics.mechanics import CaneShift, Mechanics, ReedSolver
 from physics.reed.nearby import NearbyModes, modes_below
 from physics.reed.reduced.dynamics import State
 from physics.reed.reduced.vibrations import vibrations
@@ -86,6 +80,13 @@ def test_far_reeds_have_all_modes_once_or_are_not_near(solver, nearby) -> None:
         if found is not None:
             expected = vibrations(solver.reed, state, HIGHEST_HZ)
             np.testing.assert_allclose(found.hz, expected.hz, rtol=3e-7)
+
+
+def test_a_reed_that_first_order_throws_far_away_is_not_near(solver, nearby) -> None:
+    """Without overflow, which would be a warning."""
+    for E_L in (6.0, 30.0, 200.0):
+        state = solver.state(replace(KNOWN, shift=CaneShift(E_L=E_L)))
+        assert nearby.modes(state) is None
 
 
 def test_modes_below_a_frequency_are_counted(solver) -> None:

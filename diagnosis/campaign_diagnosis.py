@@ -43,9 +43,10 @@ from diagnosis.inference.similarity import Detectability, confusable_classes, de
 from diagnosis.known_bench import KnownEffects, only_once
 from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
+from physics.alterations import YieldingClamp
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Stage
-from physics.mechanics import ReedSolver, YieldingClamp
+from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters, with_alteration
 from physics.sized_effect import SizedEffect
 

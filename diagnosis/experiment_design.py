@@ -14,9 +14,9 @@ from diagnosis.inference.estimation import posterior_covariance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.inference.similarity import DETECTION_SIGMA, Detectability
 from diagnosis.observable_groups import ObservableGroup
+from physics.alterations import TipMass
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
-from physics.mechanics import TipMass
 from physics.parameters.tree import BenchParameters, more, with_alteration, with_part
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from holography.arrays import Array, ComplexArray
+from physics.alterations import Alterations, unit_change, with_sliding
 from physics.parameters.quantity import quantity
 from physics.reed.cane.material import Cane
 from physics.reed.cane.viscoelastic import (
@@ -23,20 +24,9 @@ from physics.reed.cane.viscoelastic import (
 )
 from physics.reed.elements.coarse import coarse_mesh_cents
 from physics.reed.elements.fem import Symmetry
-from physics.reed.geometry import half_width_m
 from physics.reed.mode_classification import names_of
 from physics.reed.nearby import NearbyModes
-from physics.reed.random_surface import random_surface
-from physics.reed.reduced.changes import (
-    Change,
-    added_mass,
-    as_matrix,
-    combined,
-    layer,
-    moved_clamp,
-    softening,
-    yielding_clamp,
-)
+from physics.reed.reduced.changes import Change, as_matrix, combined
 from physics.reed.reduced.derivatives import form_by_ln_hz
 from physics.reed.reduced.dynamics import PIVOT_HZ, CaneLaw, LossFactors, State
 from physics.reed.reduced.elastic import all_descriptors
@@ -60,6 +50,10 @@ _POISSON = "chosen: a third, as `ReedBox.poisson_spread`"
 _SHEAR_LOSS = (
     "shear loses more than bending: J. Wood Sci. 69, 38 (2023); Labonnote et al., Wood Sci. "
     "Technol. 47, 1033 (2013). Chosen: up to three times as much"
+)
+_BED_SHEAR = (
+    "decision 0096: along, dry contacts yield 1.2 times as much as away (Mindlin, J. Appl. Mech. "
+    "16, 259 (1949)), cork twice, hard plastic 2.7 times, thin layers that cannot spread 4.3 times"
 )
 # Results to keep in each cache. Chosen: bounds the memory of a long diagnosis; a change is some
 # megabytes.
@@ -98,106 +92,6 @@ class CaneShift:
 
 
 @dataclass(frozen=True)
-class Layer:
-    """Additional cane on the vamp; an amount of 1 is a thickness of 1 m where it is thickest.
-
-    The thickness is a product of two Legendre polynomials.
-
-    Attributes
-    ----------
-    along : int
-        Degree of the polynomial along the vamp.
-    across : int
-        Degree of the polynomial from the right side to the left side.
-    """
-
-    along: int
-    across: int
-
-
-@dataclass(frozen=True)
-class RandomLayer:
-    """Random additional cane on the vamp; an amount of 1 is a thickness of 1 m rms.
-
-    The root mean square is that over many seeds; that of one reed differs from it by some 20 %. See
-    `physics.reed.random_surface`. First order in the thickness: with 3, 5 and 8 µm rms the farthest
-    of 14 modes of six reeds was 1.4, 3.4 and 8.2 cents from new elements, of shifts up to 13, 21
-    and 34 cents.
-
-    Attributes
-    ----------
-    seed : int
-        Selects one map of all.
-    correlation_x_m, correlation_y_m : float
-        Distances along and across the reed at which the correlation falls to 1/e.
-    """
-
-    seed: int
-    correlation_x_m: float = 8e-3
-    correlation_y_m: float = 4e-3
-
-
-@dataclass(frozen=True)
-class TipMass:
-    """Additional mass, spread uniformly over the tip; an amount of 1 is 1 kg.
-
-    Attributes
-    ----------
-    length_m : float
-        Length of the tip that is covered.
-    """
-
-    length_m: float = 2e-3
-
-
-@dataclass(frozen=True)
-class SoftSpot:
-    """Cane without stiffness along the grain, in a Gaussian spot; an amount of 1 is 1 m deep.
-
-    Attributes
-    ----------
-    x_m, y_m : float
-        Centre of the spot on the bark side.
-    radius_m : float
-        Standard deviation of the Gaussian.
-    """
-
-    x_m: float
-    y_m: float
-    radius_m: float = 1.5e-3
-
-
-@dataclass(frozen=True)
-class YieldingClamp:
-    """Compliance of the clamp; an amount of 1 is 1 m per Pa. Its springs lose no energy.
-
-    Attributes
-    ----------
-    side : {0, 1, -1}
-        Strip of the clamp that yields: 0 both, 1 the left one, −1 the right one.
-    """
-
-    side: int = 0
-
-
-@dataclass(frozen=True)
-class MovedClamp:
-    """Front edge of the clamp away from its place; an amount of 1 is 1 m away from the tip.
-
-    Attributes
-    ----------
-    tilted : bool
-        Whether the edge is turned: the strip at positive y begins farther from the tip by the
-        amount, and the other one nearer to it.
-    """
-
-    tilted: bool = False
-
-
-Alteration = Layer | RandomLayer | TipMass | SoftSpot | YieldingClamp | MovedClamp
-
-
-@dataclass(frozen=True)
 class Mechanics:
     """Mechanical parameters of a reed on the bench.
 
@@ -214,6 +108,9 @@ class Mechanics:
         stiffness against normal strains.
     alterations : tuple of (Alteration, float)
         Alterations of the reed or its clamp, each with its amount.
+    bed_shear_log : float
+        Logarithm of how many times more a yielding clamp yields along the reed, in both directions,
+        than a bed of hard plastic does (`physics.reed.reduced.changes.BED_SHEAR`).
     air_share : float
         Air that moves along with the reed, relative to normal air around a free plate (see
         `physics.reed.radiation`); 0 is a vacuum.
@@ -229,7 +126,8 @@ class Mechanics:
     loss_factor: float = quantity(0.03, "", 5e-3, 0.15, "decision 0004: cane, 0.02 to 0.05")
     loss_growth: float = quantity(0.0, "", -0.5, 0.5, "decision 0004: nearly constant")
     shear_loss_log: float = quantity(0.0, "", -0.5, 1.2, _SHEAR_LOSS)
-    alterations: tuple[tuple[Alteration, float], ...] = ()
+    alterations: Alterations = ()
+    bed_shear_log: float = quantity(0.0, "", -2.0, 2.0, _BED_SHEAR)
     air_share: float = quantity(
         1.0, "", 0.0, 4.0, "decision 0026: a free plate; in a wide wall it is up to twice as much"
     )
@@ -291,7 +189,7 @@ class ReedSolver:
 
     def __init__(self, reed: ReducedReed, announce: Callable[[str], None] | None = None) -> None:
         self.reed = reed
-        self._unit = lru_cache(maxsize=None)(lambda kind: _unit_change(reed, kind))
+        self._unit = lru_cache(maxsize=None)(lambda kind: unit_change(reed, kind))
         self._coarse = lru_cache(maxsize=1)(
             lambda: coarse_mesh_cents(reed.geometry, reed.cane, announce)
         )
@@ -315,7 +213,7 @@ class ReedSolver:
         """Return what decides the vibrations of a reed."""
         return State(
             law=self._laws(reed.cane, reed.shift),
-            change=self._change(reed.alterations),
+            change=self._change(reed.alterations, reed.bed_shear_log),
             air=self.reed.air if reed.air_share else None,
             air_fraction=reed.air_share,
         )
@@ -393,7 +291,7 @@ class ReedSolver:
         forces = pressure_forces(self.reed, hz, pressure, loose=True)
         moved = response_of_changed(
             self.reed,
-            self._change(reed.alterations),
+            self._change(reed.alterations, reed.bed_shear_log),
             material,
             loss_factor,
             hz,
@@ -407,7 +305,7 @@ class ReedSolver:
         """Return the stiffness (s, s) in N/m that a coarse mesh adds, mode by mode."""
         fine = replace(reed, coarse_share=0.0)
         modes, total = self.modes(fine), np.zeros_like(self.mass_kg)
-        change = self._change(fine.alterations)
+        change = self._change(fine.alterations, fine.bed_shear_log)
         density = self._laws(reed.cane, reed.shift).constants.density_kg_m3
         mass = density * (self.reed.mass + as_matrix(self.reed, change.mass))
         mass = mass + as_matrix(self.reed, change.mass_kg)
@@ -420,8 +318,9 @@ class ReedSolver:
             total += stiffer * np.multiply.outer(moved, moved)
         return total
 
-    def _combined(self, alterations: tuple[tuple[Alteration, float], ...]) -> Change:
-        return combined((amount, self._unit(kind)) for kind, amount in alterations if amount)
+    def _combined(self, alterations: Alterations, bed_shear_log: float) -> Change:
+        each = with_sliding(alterations, bed_shear_log)
+        return combined((amount, self._unit(kind)) for kind, amount in each if amount)
 
     def _named_shapes(self) -> tuple[list[str], Array]:
         """Return names of the modes of the nominal reed, and shapes times mass (m, s)."""
@@ -461,35 +360,3 @@ def cane_law(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> CaneLaw
         growth_E_L=shift.growth_E_L,
         growth_G_LT=shift.growth_G_LT,
     )
-
-
-def _unit_change(reed: ReducedReed, kind: Alteration) -> Change:
-    """Return the change of stiffness and mass by an alteration of amount 1."""
-    outline, end_m = reed.geometry.outline, reed.geometry.vamp_x_m[-1]
-    if isinstance(kind, YieldingClamp):
-        return yielding_clamp(reed, float(kind.side >= 0), float(kind.side <= 0))
-    if isinstance(kind, MovedClamp):
-        return moved_clamp(reed, float(not kind.tilted), float(kind.tilted))
-    if isinstance(kind, RandomLayer):
-        return layer(reed, random_surface(kind.seed, kind.correlation_x_m, kind.correlation_y_m))
-    if isinstance(kind, TipMass):
-        zone = reed.area_m2 * (reed.bark_m[:, 0] < kind.length_m)
-        area_m2 = (1 if None in reed.loose else 2) * float(zone.sum())
-        return added_mass(reed, lambda x, y: (x < kind.length_m) / area_m2)
-    if isinstance(kind, SoftSpot):
-
-        def depth(x: Array, y: Array) -> Array:
-            r2 = (x - kind.x_m) ** 2 + (y - kind.y_m) ** 2
-            bell: Array = np.exp(-r2 / (2 * kind.radius_m**2))
-            return bell
-
-        return softening(reed, depth)
-    along = np.polynomial.legendre.Legendre.basis(kind.along)
-    across = np.polynomial.legendre.Legendre.basis(kind.across)
-
-    def thickness(x: Array, y: Array) -> Array:
-        eta = y / np.maximum(half_width_m(outline, x), 1e-6)
-        grown: Array = along(2 * x / end_m - 1) * across(eta)
-        return grown
-
-    return layer(reed, thickness)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from physics.mechanics import Alteration
+from physics.alterations import Alteration
 from physics.parameters.tree import BenchParameters, part_at, with_alteration, with_part
 
 Change = Callable[[BenchParameters, Mapping[str, float]], BenchParameters]

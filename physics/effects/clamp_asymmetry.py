@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
+from physics.alterations import YieldingClamp
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import YieldingClamp
 from physics.parameters.tree import BenchParameters, with_alteration
 
 

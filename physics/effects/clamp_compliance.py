@@ -1,8 +1,8 @@
 """A clamp whose strips rest on elastic beds."""
 
+from physics.alterations import YieldingClamp
 from physics.effects.changes import altered
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import YieldingClamp
 
 EFFECT = Effect(
     id="clamp_compliance",

@@ -1,8 +1,8 @@
 """A vamp thicker at its sides and thinner in its middle than in the drawing."""
 
+from physics.alterations import Layer
 from physics.effects.changes import altered
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import Layer
 
 EFFECT = Effect(
     id="thickness_crown",

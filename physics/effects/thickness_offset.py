@@ -1,8 +1,8 @@
 """A vamp that is thicker or thinner than the drawing by the same amount everywhere."""
 
+from physics.alterations import Layer
 from physics.effects.changes import altered
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import Layer
 
 EFFECT = Effect(
     id="thickness_offset",

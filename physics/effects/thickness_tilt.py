@@ -1,8 +1,8 @@
 """A vamp that is thicker on one side than on the other."""
 
+from physics.alterations import Layer
 from physics.effects.changes import altered
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import Layer
 
 EFFECT = Effect(
     id="thickness_tilt",

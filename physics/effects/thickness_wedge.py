@@ -1,8 +1,8 @@
 """A vamp whose thickness grows towards the heel faster than in the drawing."""
 
+from physics.alterations import Layer
 from physics.effects.changes import altered
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import Layer
 
 EFFECT = Effect(
     id="thickness_wedge",

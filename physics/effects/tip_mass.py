@@ -1,8 +1,8 @@
 """A small mass, such as moisture or wax, on the last 2 mm of the tip."""
 
+from physics.alterations import TipMass
 from physics.effects.changes import altered
 from physics.effects.effect import Effect, Parameter, Stage
-from physics.mechanics import TipMass
 
 EFFECT = Effect(
     id="tip_mass",

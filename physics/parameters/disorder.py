@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from physics.mechanics import Alteration, Layer, MovedClamp, RandomLayer
+from physics.alterations import Alteration, Layer, MovedClamp, RandomLayer
 from physics.parameters.quantity import Quantity, quantity_of
 from physics.parameters.tree import BenchParameters, part_at, with_alteration, with_part
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
-from physics.mechanics import Alteration, Mechanics
+from physics.alterations import Alteration
+from physics.mechanics import Mechanics
 from physics.parameters.chamber import Chamber
 from physics.parameters.clocks import Clocks
 from physics.parameters.drive import Drive

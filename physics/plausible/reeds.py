@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holography.arrays import Array
+from physics.alterations import RandomLayer
 from physics.effects.catalogue import BY_ID
-from physics.mechanics import CaneShift, RandomLayer, cane_law
+from physics.mechanics import CaneShift, cane_law
 from physics.parameters.disorder import BY_NAME
 from physics.plausible.nearby import NearbyReeds
 from physics.plausible.surfaces import ThicknessFunctions

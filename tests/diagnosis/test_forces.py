@@ -9,8 +9,9 @@ import pytest
 from diagnosis.observables.drive import forces_rad
 from diagnosis.observables.shapes import elastic_reed
 from physics.air import pressure_on_reed
+from physics.alterations import Alteration, Layer, TipMass, YieldingClamp
 from physics.drive import pressure_at_tip_pa
-from physics.mechanics import Alteration, Layer, ReedSolver, TipMass, YieldingClamp, cane_law
+from physics.mechanics import ReedSolver, cane_law
 from physics.parameters.chamber import Chamber, Filling
 from physics.parameters.drive import AcousticResonance, Drive
 from physics.parameters.tree import BenchParameters, with_alteration

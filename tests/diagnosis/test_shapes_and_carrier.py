@@ -11,7 +11,8 @@ from diagnosis.observables.carrier import Leaks, carrier_group, leaks_in
 from diagnosis.observables.shapes import elastic_reed, shapes_group
 from diagnosis.readings.carrier import CarrierReading, unshifted_light
 from fitting.fringes.start_frequencies import middling_shapes
-from physics.mechanics import ReedMode, ReedSolver, TipMass
+from physics.alterations import TipMass
+from physics.mechanics import ReedMode, ReedSolver
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import BenchParameters, with_alteration, with_part
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane

@@ -9,18 +9,9 @@ from scipy import linalg
 from scipy.optimize import brentq
 from scipy.special import eval_legendre
 
+from physics.alterations import Layer, SoftSpot, TipMass, YieldingClamp
 from physics.errors import ImpossibleReedError
-from physics.mechanics import (
-    HIGHEST_HZ,
-    CaneShift,
-    Layer,
-    Mechanics,
-    ReedSolver,
-    SoftSpot,
-    TipMass,
-    YieldingClamp,
-    cane_law,
-)
+from physics.mechanics import HIGHEST_HZ, CaneShift, Mechanics, ReedSolver, cane_law
 from physics.reed.cane.material import Cane, stiffness_terms_pa
 from physics.reed.cane.viscoelastic import (
     Components,

@@ -9,15 +9,9 @@ import numpy as np
 import pytest
 
 import physics.effects
+from physics.alterations import Alteration, Layer, SoftSpot, TipMass, YieldingClamp
 from physics.effects.catalogue import BY_ID, CATALOGUE, discovered
 from physics.effects.effect import Effect, Stage
-from physics.mechanics import (
-    Alteration,
-    Layer,
-    SoftSpot,
-    TipMass,
-    YieldingClamp,
-)
 from physics.parameters.tree import BenchParameters, part_at, with_part
 
 FOLDER = Path(physics.effects.__file__).parent

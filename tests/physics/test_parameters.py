@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from physics.alterations import TipMass
 from physics.effects.catalogue import CATALOGUE
-from physics.mechanics import TipMass
 from physics.parameters.quantity import Quantity, leaves, quantity
 from physics.parameters.tree import BenchParameters, more, part_at, with_alteration, with_part
 

@@ -5,15 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from physics.alterations import MovedClamp, RandomLayer
 from physics.conditions import ConditionChange
-from physics.mechanics import (
-    CaneShift,
-    Mechanics,
-    MovedClamp,
-    RandomLayer,
-    ReedSolver,
-    cane_law,
-)
+from physics.mechanics import CaneShift, Mechanics, ReedSolver, cane_law
 from physics.motion import AlteredMotion, PlainMotion
 from physics.reed.cane.viscoelastic import ViscoelasticCane, Zener
 from physics.reed.elements.fem import Symmetry

@@ -13,6 +13,7 @@ import numpy as np
 
 from holography.arrays import Array
 from physics.reed.cane.material import STIFFNESS_TERMS
+from physics.reed.reduced.boundary import STRIP_AXES
 from physics.reed.reduced.reed import ReducedReed
 
 Function = Callable[[Array, Array], Array]
@@ -21,6 +22,9 @@ Blocks = Mapping[tuple[int, int], Array]
 # Offset of the thickness of all the vamp up to which first order holds to 3 cents
 # (`studies.reduced_basis`).
 LARGEST_OFFSET_M = 7e-6
+# How many times as much the bed of a strip yields along its surface as away from it: hard plastic
+# that may spread, 2(1 + ν) with ν = 0.35 (decision 0096).
+BED_SHEAR = 2.7
 _MATRICES = ("stiffness_terms", "mass", "mass_kg")
 
 
@@ -116,7 +120,14 @@ def added_mass(reed: ReducedReed, kg_m2: Function) -> Change:
     return Change(mass_kg=_moved(reed, kg_m2))
 
 
-def yielding_clamp(reed: ReducedReed, left_m3_n: float, right_m3_n: float) -> Change:
+def yielding_clamp(
+    reed: ReducedReed,
+    left_m3_n: float,
+    right_m3_n: float,
+    *,
+    away: float = 1.0,
+    along: float = BED_SHEAR,
+) -> Change:
     """Strips on elastic beds.
 
     Parameters
@@ -124,8 +135,13 @@ def yielding_clamp(reed: ReducedReed, left_m3_n: float, right_m3_n: float) -> Ch
     reed : ReducedReed
     left_m3_n, right_m3_n : float
         Yielding in m per Pa of the strips at positive and negative y.
+    away, along : float
+        How many times as much beds yield in the direction away from the reed, and along its surface
+        in both directions.
     """
-    own = np.linalg.inv(reed.strip_m2)
+    times = np.where(STRIP_AXES == 2, away, along)
+    # No coordinate of a strip moves in two directions.
+    own = times[:, None] * np.linalg.inv(reed.strip_m2)
     mean, difference = 0.5 * (left_m3_n + right_m3_n), 0.5 * (left_m3_n - right_m3_n)
     return Change(
         compliance_m_n=np.block([[mean * own, difference * own], [difference * own, mean * own]])

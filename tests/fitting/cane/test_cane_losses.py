@@ -6,8 +6,9 @@ import pytest
 from fitting.cane.cane_losses import fit_losses
 from fitting.errors import FitError
 from fitting.resonance import Resonance
+from physics.alterations import YieldingClamp
 from physics.effects.catalogue import BY_ID
-from physics.mechanics import Mechanics, ReedSolver, YieldingClamp
+from physics.mechanics import Mechanics, ReedSolver
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.mode_classification import PAPER_MODES
 

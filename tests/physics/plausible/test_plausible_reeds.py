@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from physics.mechanics import CaneShift, Layer, MovedClamp, _unit_change, cane_law
+from physics.alterations import Layer, MovedClamp, unit_change
+from physics.mechanics import CaneShift, cane_law
 from physics.parameters.disorder import BY_NAME
 from physics.plausible.reeds import PlausibleReeds
 from physics.plausible.surfaces import ThicknessFunctions
@@ -53,7 +54,7 @@ def state_of(reeds, parameters, air_fraction=1.0):
         ("clamp_shift", MovedClamp()),
         ("clamp_tilt", MovedClamp(tilted=True)),
     ):
-        changes.append((deviation(name) * value[name], _unit_change(reed, kind)))
+        changes.append((deviation(name) * value[name], unit_change(reed, kind)))
     cane = viscoelastic_cane(Components(value["e1"], value["e2"], value["e3"]), Series.A)
     shift = CaneShift(**{name: deviation(name) * value[name] for name in CONSTANTS})
     return State(cane_law(reed.cane, cane, shift), combined(changes), reed.air, air_fraction)

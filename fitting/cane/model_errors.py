@@ -18,11 +18,12 @@ import numpy as np
 
 from holography.arrays import Array, Mask
 from physics.air import pressure_on_reed
+from physics.alterations import BED_SHEAR_SPREAD, RandomLayer
 from physics.effects.catalogue import BY_ID
 from physics.effects.effect import Effect
-from physics.mechanics import HIGHEST_HZ, CaneShift, Mechanics, RandomLayer, ReedSolver
+from physics.mechanics import HIGHEST_HZ, CaneShift, Mechanics, ReedSolver
 from physics.parameters.disorder import BY_NAME, Disorder
-from physics.parameters.tree import BenchParameters, with_cane, with_part
+from physics.parameters.tree import BenchParameters, more, with_cane, with_part
 from physics.plausible.reeds import BEYOND_H4
 from physics.plausible.surfaces import ThicknessFunctions
 from physics.reed.radiation import AIR_DENSITY_KG_M3
@@ -128,11 +129,13 @@ def model_errors(
         # What goes along with the shift is a matter of its size, which is fitted.
         bend = bend - linear * (bend @ linear) / max(float(linear @ linear), _LEAST_CENTS**2)
         squares += bend**2
+    shifts.append(_by_bed_shear(solver, nominal, modes))
     shifts.append(_WALL * _by_wall(solver, nominal.reed, modes))
     shifts.append(_by_mouthpiece(solver, nominal, modes))
     maps = _by_maps(solver, nominal.reed, modes)
-    names = (*(cause.name for cause in causes), "wall", "mouthpiece", *[_MAP] * len(maps))
-    none = [False] * (2 + len(maps))
+    others = ("bed_shear", "wall", "mouthpiece", *[_MAP] * len(maps))
+    names = (*(cause.name for cause in causes), *others)
+    none = [False] * len(others)
     return ModelErrors(
         modes=tuple(modes),
         causes=names,
@@ -258,6 +261,16 @@ def _by_maps(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array
     rms_m = BY_NAME[_MAP].ordinary.root_mean_square
     cents = 1200 / np.log(2) * rms_m * np.sqrt(np.maximum(values, 0.0))
     return np.asarray((vectors * cents).T)
+
+
+def _by_bed_shear(solver: ReedSolver, nominal: BenchParameters, modes: Sequence[str]) -> Array:
+    """Shift (m,) by what a clamp that yields as usual yields along the reed."""
+    yields = _with_effect(nominal, BY_ID["clamp_compliance"], 1.0)
+    ahead, behind = (
+        _cents(solver, more(yields, "reed", bed_shear_log=log).reed, modes)
+        for log in (BED_SHEAR_SPREAD, -BED_SHEAR_SPREAD)
+    )
+    return 0.5 * (ahead - behind)
 
 
 def _by_wall(solver: ReedSolver, reed: Mechanics, modes: Sequence[str]) -> Array:

@@ -10,6 +10,7 @@ from holography.arrays import Array, Float32Array
 from physics.effects.clamp_compliance import EFFECT as CLAMP_COMPLIANCE
 from physics.reed.cane.material import constants_of, terms_and_slopes
 from physics.reed.elements.fem import Symmetry
+from physics.reed.reduced.changes import yielding_clamp
 from physics.reed.reduced.elastic import elastic_modes, reduced_modes
 from physics.reed.reduced.reed import CONSTANTS, ReducedReed, ReedPart
 from physics.reed.surface import surface_shapes
@@ -190,7 +191,9 @@ def _shear(half: ReedPart, terms: Array, vectors: Array) -> Array:
 
 def _yielding(reed: ReducedReed) -> Callable[[Symmetry | None, Array, Array, Array], Array]:
     """Return a function for the stiffness (m, m) that a yielding clamp takes from shapes."""
-    own = _COMPLIANCE_M_PA * np.linalg.inv(reed.strip_m2)
+    yields_m_n = np.asarray(yielding_clamp(reed, 1.0, 1.0).compliance_m_n) * _COMPLIANCE_M_PA
+    each = len(reed.strip) // len(reed.loose)
+    rows = {key: slice(each * k, each * (k + 1)) for k, key in enumerate(reed.loose)}
 
     def taken(key: Symmetry | None, terms: Array, hz: Array, vectors: Array) -> Array:
         part = reed.loose[key]
@@ -200,7 +203,7 @@ def _yielding(reed: ReducedReed) -> Callable[[Symmetry | None, Array, Array, Arr
         squares = (2 * np.pi * hz) ** 2
         elastic = np.tensordot(terms, part.stiffness_terms[:, strip], axes=1) @ held
         force = reed.cane.density_kg_m3 * (part.mass[strip] @ held) * squares - elastic
-        return np.asarray(force.T @ own @ force)
+        return np.asarray(force.T @ yields_m_n[rows[key], rows[key]] @ force)
 
     return taken
 

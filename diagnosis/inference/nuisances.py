@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from holography.arrays import Array
+from physics.alterations import BED_SHEAR_SPREAD, Layer, RandomLayer, YieldingClamp
 from physics.effects.changes import changed
-from physics.mechanics import Layer, RandomLayer, YieldingClamp
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import (
     BenchParameters,
@@ -264,6 +264,13 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
         0.7,
         _clamped,
         "hard plastic of 0.1 to 0.5 mm under the strips (decision 0050): within a factor of 4",
+    ),
+    Nuisance(
+        "bed shear",
+        "",
+        BED_SHEAR_SPREAD,
+        lambda parameters, value: more(parameters, "reed", bed_shear_log=value),
+        "from dry contacts to thin layers that cannot spread (decision 0096)",
     ),
     _disorder("clamp_shift", "place of the clamp"),
     Nuisance(

@@ -86,6 +86,21 @@ def test_where_all_is_linear_there_is_one_start() -> None:
     np.testing.assert_array_equal(start, np.zeros(1))
 
 
+def test_one_search_begins_with_a_soft_clamp() -> None:
+    """In the best chamber, everything else at the prior's centre; where there is a clamp."""
+    clamp = Nuisance("clamp", "", 1.0, lambda parameters, _value: parameters, "")
+    problem = of_peak()
+    with_clamp = InferenceProblem(problem.groups, BenchParameters(), (*problem.nuisances, clamp))
+    first, _second, soft, centre = starts_without_effects(with_clamp)
+    assert not centre.any()
+    np.testing.assert_array_equal(soft, [0.0, first[1], 2.0])
+    even = measured(1, bench())
+    alone = InferenceProblem(even.groups, BenchParameters(), (*even.nuisances, clamp))
+    centre, soft = starts_without_effects(alone)
+    assert not centre.any()
+    np.testing.assert_array_equal(soft, [0.0, 2.0])
+
+
 def test_a_search_goes_on_while_a_step_would_gain_something() -> None:
     problem = of_peak()
     z = np.array([SLOPE / 2, PLACE])

@@ -25,9 +25,10 @@ from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import SweepReading, common_modes, loudest
 from holography.arrays import Array
+from physics.alterations import MovedClamp, YieldingClamp
 from physics.conditions import change_of_cane, condition_at, hardened
 from physics.errors import ImpossibleReedError
-from physics.mechanics import MovedClamp, ReedSolver, YieldingClamp
+from physics.mechanics import ReedSolver
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.tree import BenchParameters, with_alteration, with_cane
 
@@ -36,6 +37,10 @@ CENTS = 1200 / np.log(2)
 # error, with the weight of four degrees of freedom (decision 0047: light and vibration are
 # confounded in the same way in all sweeps). Chosen where sweeps are few; replicates take over.
 _OWN, _BELIEVED = 0.5, 4.0
+# Largest such share of which the rest is shared. Chosen: the rest must not vanish.
+_MOST_OWN = 0.99
+# Conditions that differ by less than this share are one. Chosen: rounding.
+_SEPARATE = 1e-9
 # Fits agree at least to this: cents, per cent. Chosen: rounding of the search.
 _LEAST_CENTS, _LEAST_LOSS = 0.05, 0.1
 # Temperature of a room from sweep to sweep, and what frequencies and losses follow it by: moduli of
@@ -77,7 +82,10 @@ def modes_group(
     common = [name for name in common_modes(sweeps) if name in known]
     if not common:
         return None
-    share = _own_share(sweeps, common)
+    moved = np.stack(
+        [_slope(reed_solver, nominal, modulus, common) for modulus in ("E_L", "G_LT")], axis=1
+    )
+    shares = _own_shares(sweeps, common, moved)
     values, places, rows, pieces = [], [], [], []
     loud = loudest(sweeps)
     for number, sweep in enumerate(sweeps):
@@ -91,12 +99,13 @@ def modes_group(
                 )
                 rows.append((number, name, what))
         # Sweeps of another level or clamping end in optima of their own.
-        own = share if sweep in loud else 1.0
-        pieces.append(own**2 * _of_fit(sweep, at))
+        own = _of_modes(shares, [common.index(name) for name in here])
+        own = own if sweep in loud else np.maximum(own, 1.0)
+        pieces.append(own[:, None] * _of_fit(sweep, at) * own)
         pieces[-1] += _of_leaks(leaks, sweep, at, [name == common[0] for name in here])
     noise = block_diag(*pieces)
-    nuisances = _nuisances(rows, common, sweeps, reed_solver, nominal, share)
-    predict = _prediction(rows, common, sweeps, reed_solver, nominal)
+    nuisances = _nuisances(rows, common, sweeps, reed_solver, nominal, shares)
+    predict = _prediction(rows, common, sweeps, reed_solver, moved)
     parts = ("reed", "environment")
     errors = Errors(noise, nuisances)
     return observable_group("modes", Observable.MODES, values, errors, places, parts, predict)
@@ -111,24 +120,66 @@ def _of_fit(sweep: SweepReading, at: NDArray[np.intp]) -> Array:
     return whole
 
 
-def _own_share(sweeps: Sequence[SweepReading], common: Sequence[str]) -> float:
-    """Return the share of a fit's standard errors that sweeps do not share with each other.
+def _of_modes(shares: Array, modes: Sequence[int]) -> Array:
+    """Return shares (2a,) of frequencies and losses of chosen modes."""
+    return np.asarray(shares.reshape(2, -1)[:, list(modes)].ravel())
 
-    From sweeps of one clamping and level. What all modes of a sweep differ by is the reed's
-    temperature, and does not count.
+
+def _own_shares(sweeps: Sequence[SweepReading], common: Sequence[str], moved: Array) -> Array:
+    """Return shares (2m,) of fits' standard errors that sweeps do not share with each other.
+
+    Those of the frequencies of all modes, then of their losses, from sweeps of one clamping and
+    level: what all modes scatter by together, and each by itself. A fit that has gone wrong in one
+    mode of one sweep is seen here, whatever the model says. What changes of moduli move in a sweep
+    is the reed's condition, and does not count; that of E_L may grow with frequency, as by drying.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepReading
+    common : sequence of str
+        The m modes.
+    moved : (m, 2) float
+        Change of log frequencies by the logs of E_L and of G_LT.
     """
     loud = loudest(sweeps)
-    names = [name for name in common if all(name in sweep.names for sweep in loud)]
-    if len(loud) < 2 or len(names) < 2:
-        return 1.0
-    at = [[sweep.names.index(name) for name in names] for sweep in loud]
-    table = np.array([np.log(s.hz[i]) for s, i in zip(loud, at, strict=True)])
-    error = np.array([np.sqrt(np.diag(s.covariance)[i]) for s, i in zip(loud, at, strict=True)])
-    apart = table - table.mean(axis=0)
-    apart = (apart - np.median(apart, axis=1, keepdims=True)) / error
-    freedoms = (len(loud) - 1) * (len(names) - 1)
-    square = (np.sum(apart**2) + _BELIEVED * _OWN**2) / (freedoms + _BELIEVED)
-    return float(min(np.sqrt(square), 1.0))
+    found = np.ones((2, len(common)))
+    kept = [m for m, name in enumerate(common) if all(name in sweep.names for sweep in loud)]
+    at = np.array([[sweep.names.index(common[m]) for m in kept] for sweep in loud], dtype=int)
+    hz = np.array([loud[0].hz[loud[0].names.index(common[m])] for m in kept])
+    grown = moved[kept, 0] * np.log(hz)
+    conditions = np.column_stack([moved[kept], grown]), np.ones((len(kept), 1))
+    for number, explained in enumerate(conditions):
+        if len(loud) < 2 or len(kept) <= explained.shape[1]:
+            continue
+        each = [(s.hz, s.loss_factor)[number][i] for s, i in zip(loud, at, strict=True)]
+        table = np.log(np.array(each))
+        places = [number * len(s.names) + i for s, i in zip(loud, at, strict=True)]
+        error = np.array(
+            [np.sqrt(np.diag(s.covariance)[i]) for s, i in zip(loud, places, strict=True)]
+        )
+        squares, freedoms = _scatter(table, error, explained)
+        all_squares = np.sum(squares) + _BELIEVED * _OWN**2
+        every = np.minimum(all_squares / (np.sum(freedoms) + _BELIEVED), 1.0)
+        found[number] = np.sqrt(every)
+        found[number, kept] = np.sqrt((squares + _BELIEVED * every) / (freedoms + _BELIEVED))
+    return np.asarray(found.ravel())
+
+
+def _scatter(table: Array, error: Array, explained: Array) -> tuple[Array, Array]:
+    """Return squares (m,) of what m numbers scatter by over sweeps (s, m), and their freedoms.
+
+    In units of the errors, without the mean of each number and what columns (m, c) explain of all
+    numbers of a sweep.
+    """
+    apart = table - np.average(table, axis=0, weights=error**-2)
+    squares, freedoms = np.zeros(table.shape[1]), np.zeros(table.shape[1])
+    for one, own in zip(apart, error, strict=True):
+        axes, sizes, _ = np.linalg.svd(explained / own[:, None], full_matrices=False)
+        axes = axes[:, sizes > _SEPARATE * sizes[0]]
+        left = one / own - axes @ (axes.T @ (one / own))
+        squares += left**2
+        freedoms += 1 - np.sum(axes**2, axis=1)
+    return squares, freedoms * (1 - 1 / len(table))
 
 
 def _nuisances(
@@ -137,7 +188,7 @@ def _nuisances(
     sweeps: Sequence[SweepReading],
     reed_solver: ReedSolver,
     nominal: BenchParameters,
-    share: float,
+    shares: Array,
 ) -> tuple[GroupNuisances, ...]:
     """Return what sweeps have in common, and what a new clamping changes."""
     modes = np.array([common.index(name) for _, name, _ in rows])
@@ -146,7 +197,8 @@ def _nuisances(
     each = np.eye(2 * len(common))[modes + len(common) * loss]
     first = sweeps[0]
     at = np.array([first.names.index(name) for name in common], dtype=int)
-    fit = np.linalg.cholesky(_of_fit(first, at)) * np.sqrt(1 - min(share, 0.99) ** 2)
+    in_common = np.sqrt(1 - np.minimum(shares, _MOST_OWN) ** 2)
+    fit = in_common[:, None] * np.linalg.cholesky(_of_fit(first, at))
     detail = np.where(loss, _LOSS, _DETAIL_CENTS)[:, None] * each
     warmth = np.where(loss, _LOSS_C, _CENTS_C)[:, None] * np.eye(len(sweeps))[sweep] * _ROOM_C
     found = [
@@ -223,7 +275,7 @@ def _prediction(
     common: Sequence[str],
     sweeps: Sequence[SweepReading],
     reed_solver: ReedSolver,
-    nominal: BenchParameters,
+    moved: Array,
 ) -> Callable[[BenchParameters], Array]:
     names = np.array([common.index(name) for _, name, _ in rows])
     loss = np.array([what.startswith("loss") for _, _, what in rows])
@@ -235,7 +287,7 @@ def _prediction(
         times_s[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s))
         near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
         deepest_rad[r] = float(np.max(sweep.deepest_rad[near]))
-    by_E, by_G = (_slope(reed_solver, nominal, modulus, common) for modulus in ("E_L", "G_LT"))
+    by_E, by_G = moved.T
 
     def predict(parameters: BenchParameters) -> Array:
         modes = reed_solver.modes(parameters.reed)

@@ -2,7 +2,9 @@
 
 Drying moves the moduli of the cane along the difference of the paper's two series; warming shifts
 their relaxation time after Arrhenius. Both laws are those of `physics.reed.cane.conditions`. What
-they leave open is a change of each modulus by the same factor at all frequencies (decision 0023).
+they leave open is a change of each modulus by the same factor at all frequencies (decision 0023),
+and how much of the law of wood there is in them: wood becomes stiffer as it dries, and softer as it
+warms, equally at all frequencies, across the grain more than along it (decision 0098).
 """
 
 from dataclasses import dataclass
@@ -16,6 +18,11 @@ from physics.reed.cane.viscoelastic import ViscoelasticCane, Zener, storage_modu
 
 # Amplitude to which `Environment.hardening` refers.
 HARDENING_RAD = 10.0
+# Change of ln E_L of wood along the grain for 3 % less water (1.5 to 2 % for each per cent: Wood
+# Handbook, FPL-GTR-190, chapter 5), and 3 % less mass, which counts as stiffness (decision 0023).
+_WOOD_DRY_E_L = 0.05 + 0.03
+# The same of both moduli along the grain per °C (Wood Handbook, Table 5-15, 12 % moisture).
+_WOOD_WARM = -2.3e-3
 # Mean of the square of a deflection over the peak's, in terms that stiffen: a quarter of the square
 # would be that of a bar; a reed's tip moves over little of its area. Chosen: between them.
 _DEEP = 0.7
@@ -50,12 +57,15 @@ class ConditionChange:
     ----------
     E_L, G_LT : array
         Storage moduli.
+    others : array
+        E_T, E_R, G_LR and G_TR.
     loss : array
         Loss factor.
     """
 
     E_L: Array
     G_LT: Array
+    others: Array
     loss: Array
 
 
@@ -82,28 +92,48 @@ def change_of_cane(
         Frequencies.
     """
     dryness, warmer_c = condition.dryness, condition.warmer_c
-    changed = {}
-    for name, zener, dry_log, warm_log in (
-        ("young_L", cane.young_L, environment.dry_E_L, environment.warm_E_L),
-        ("shear_LT", cane.shear_LT, environment.dry_G_LT, environment.warm_G_LT),
+    frequency_hz = np.asarray(hz, dtype=float)
+    none, still = np.zeros_like(dryness), np.zeros_like(warmer_c)
+    law, changed = environment, {}
+    for name, zener, wood, dry_log, warm_log in (
+        ("young_L", cane.young_L, law.dry_as_wood, law.dry_E_L, law.warm_E_L),
+        ("shear_LT", cane.shear_LT, 0.0, law.dry_G_LT, law.warm_G_LT),
     ):
         dry: Zener = getattr(dried(cane, 1.0), name)
-        shift = np.vectorize(relaxation_time_factor)(REFERENCE_C + warmer_c)
-        now = storage_modulus(
-            zener.spring_mpa + dryness * (dry.spring_mpa - zener.spring_mpa),
-            zener.arm_spring_mpa + dryness * (dry.arm_spring_mpa - zener.arm_spring_mpa),
-            zener.arm_dashpot_mpa_s * shift,
-            np.asarray(hz, dtype=float),
-        ).value_mpa
-        before = storage_modulus(
-            np.asarray(zener.spring_mpa),
-            np.asarray(zener.arm_spring_mpa),
-            np.asarray(zener.arm_dashpot_mpa_s),
-            np.asarray(hz, dtype=float),
-        ).value_mpa
-        changed[name] = np.log(now / before) + dry_log * dryness + warm_log * warmer_c
-    loss = environment.dry_loss * dryness + environment.warm_loss * warmer_c
-    return ConditionChange(changed["young_L"], changed["shear_LT"], np.asarray(loss))
+        log = _log_change(zener, dry, dryness, warmer_c, frequency_hz)
+        if wood:
+            by_drying = _log_change(zener, dry, dryness, still, frequency_hz)
+            log = log + wood * (_WOOD_DRY_E_L * dryness - by_drying)
+        if law.warm_as_wood:
+            by_warmth = _log_change(zener, dry, none, warmer_c, frequency_hz)
+            log = log + law.warm_as_wood * (_WOOD_WARM * warmer_c - by_warmth)
+        changed[name] = log + dry_log * dryness + warm_log * warmer_c
+    return ConditionChange(
+        E_L=changed["young_L"],
+        G_LT=changed["shear_LT"],
+        others=np.asarray(law.dry_others * dryness + law.warm_others * warmer_c),
+        loss=np.asarray(law.dry_loss * dryness + law.warm_loss * warmer_c),
+    )
+
+
+def _log_change(
+    zener: Zener, dry: Zener, dryness: Array, warmer_c: Array, frequency_hz: Array
+) -> Array:
+    """Change of the log of a storage modulus by hypothesis H4 and the Arrhenius shift."""
+    shift = np.vectorize(relaxation_time_factor)(REFERENCE_C + warmer_c)
+    now = storage_modulus(
+        zener.spring_mpa + dryness * (dry.spring_mpa - zener.spring_mpa),
+        zener.arm_spring_mpa + dryness * (dry.arm_spring_mpa - zener.arm_spring_mpa),
+        zener.arm_dashpot_mpa_s * shift,
+        frequency_hz,
+    ).value_mpa
+    before = storage_modulus(
+        np.asarray(zener.spring_mpa),
+        np.asarray(zener.arm_spring_mpa),
+        np.asarray(zener.arm_dashpot_mpa_s),
+        frequency_hz,
+    ).value_mpa
+    return np.asarray(np.log(now / before))
 
 
 def hardened(environment: Environment, largest_rad: Array | float) -> Array:

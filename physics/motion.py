@@ -125,16 +125,13 @@ def _material(
 ) -> Cane:
     """Return the cane at a frequency, in its present condition."""
     before = cane_law(constants, mechanics.cane, mechanics.shift).at(hz)
-    now = replace(
-        before,
-        E_L_pa=before.E_L_pa * float(np.exp(change.E_L)),
-        G_LT_pa=before.G_LT_pa * float(np.exp(change.G_LT)),
-    )
-    if not stiffer:
-        return now
-    moduli = ("E_L_pa", "E_T_pa", "E_R_pa", "G_LT_pa", "G_LR_pa", "G_TR_pa")
-    factor = float(np.exp(stiffer))
-    return replace(now, **{name: factor * getattr(now, name) for name in moduli})
+    others = float(change.others)
+    logs = {"E_L_pa": float(change.E_L), "G_LT_pa": float(change.G_LT)}
+    logs |= dict.fromkeys(("E_T_pa", "E_R_pa", "G_LR_pa", "G_TR_pa"), others)
+    moduli = {
+        name: getattr(before, name) * float(np.exp(log + stiffer)) for name, log in logs.items()
+    }
+    return replace(before, **moduli)
 
 
 def _loss(mechanics: Mechanics, change: ConditionChange, hz: float) -> LossFactors:

@@ -61,6 +61,8 @@ _QUANTITIES = "frequency, cents", "loss, %"
 # So near in log frequency the reed moves as much as at its resonance.
 _AT_RESONANCE = 0.03
 _STEP = 0.01
+# Moduli that the condition of a reed changes, those that change together in one entry.
+_MODULI = ("E_L",), ("G_LT",), ("E_T", "E_R", "G_LR", "G_TR")
 
 
 def modes_group(
@@ -82,10 +84,9 @@ def modes_group(
     common = [name for name in common_modes(sweeps) if name in known]
     if not common:
         return None
-    moved = np.stack(
-        [_slope(reed_solver, nominal, modulus, common) for modulus in ("E_L", "G_LT")], axis=1
-    )
-    shares = _own_shares(sweeps, common, moved)
+    moved = np.stack([_slope(reed_solver, nominal, own, common) for own in _MODULI], axis=1)
+    # The other moduli move little, and few modes do not tell them apart.
+    shares = _own_shares(sweeps, common, moved[:, :2])
     values, places, rows, pieces = [], [], [], []
     loud = loudest(sweeps)
     for number, sweep in enumerate(sweeps):
@@ -287,7 +288,7 @@ def _prediction(
         times_s[r] = float(np.interp(log_hz, np.log(sweep.drive_hz), sweep.time_s))
         near = _near(np.log(sweep.drive_hz) - log_hz, _AT_RESONANCE)
         deepest_rad[r] = float(np.max(sweep.deepest_rad[near]))
-    by_E, by_G = moved.T
+    by_E, by_G, by_others = moved.T
 
     def predict(parameters: BenchParameters) -> Array:
         modes = reed_solver.modes(parameters.reed)
@@ -302,6 +303,7 @@ def _prediction(
         around = parameters.environment
         change = change_of_cane(parameters.reed.cane, around, condition_at(around, times_s), hz)
         shift = by_E[names] * change.E_L + by_G[names] * change.G_LT
+        shift = shift + by_others[names] * change.others
         shift = shift + 0.5 * hardened(around, deepest_rad)
         answer: Array = np.where(
             loss, 100 * (np.log(eta) + change.loss), CENTS * (np.log(hz) + shift)
@@ -312,11 +314,15 @@ def _prediction(
 
 
 def _slope(
-    reed_solver: ReedSolver, parameters: BenchParameters, modulus: str, names: Sequence[str]
+    reed_solver: ReedSolver,
+    parameters: BenchParameters,
+    moduli: Sequence[str],
+    names: Sequence[str],
 ) -> Array:
-    """Derivatives of log frequencies by the log of a modulus."""
+    """Derivatives of log frequencies by the logs of moduli that change together."""
     ahead, behind = (
-        reed_solver.modes(with_cane(parameters, **{modulus: sign * _STEP}).reed) for sign in (1, -1)
+        reed_solver.modes(with_cane(parameters, **dict.fromkeys(moduli, sign * _STEP)).reed)
+        for sign in (1, -1)
     )
     return np.array([np.log(ahead[n].hz / behind[n].hz) / (2 * _STEP) for n in names])
 

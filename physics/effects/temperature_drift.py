@@ -24,10 +24,25 @@ EFFECT = Effect(
         ),
         Parameter("E_L", "1/degC", 1e-3, "decision 0023: Arrhenius law and wood differ by this"),
         Parameter("G_LT", "1/degC", 2e-3, "decision 0023: no measurement of dry cane is known"),
+        Parameter(
+            "as_wood", "", 0.5, "decision 0098: halfway between Arrhenius and wood is one deviation"
+        ),
+        Parameter(
+            "others",
+            "1/degC",
+            3e-3,
+            "decision 0098: between none and wood of 12 % moisture",
+        ),
     ),
     change=changed(
         "environment",
-        add={"warming_c_h": "rate", "warm_E_L": "E_L", "warm_G_LT": "G_LT"},
+        add={
+            "warming_c_h": "rate",
+            "warm_E_L": "E_L",
+            "warm_G_LT": "G_LT",
+            "warm_as_wood": "as_wood",
+            "warm_others": "others",
+        },
         scale={"warm_loss": "log_loss"},
     ),
     reference="Weidenfeller et al., Mater. Res. 21, e20170795 (2018)",

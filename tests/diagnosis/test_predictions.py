@@ -289,6 +289,9 @@ def test_forces_fall_beyond_an_amplifier_s_corner_and_rise_by_what_clay_lets_thr
 
 NAMES, BENDING = ("F1", "T1"), np.array([0.9, 0.2])
 GROWN = 0.2
+# Of log frequencies by the logs of E_L, G_LT, and the other moduli.
+ACROSS = np.array([0.02, 0.1])
+MOVED = np.stack([0.5 * BENDING, 0.5 * (1 - BENDING), ACROSS], axis=1)
 
 
 def of_moduli(reed):
@@ -308,7 +311,7 @@ def modes():
     one = sweep(begun_s=6000.0, names=NAMES, hz=np.array([2e3, 5e3]),
                 stiffening=np.full(2, GROWN), deepest_rad=np.full(160, 10.0))  # fmt: skip
     rows = [(0, name, what) for what in ("frequency, cents", "loss, %") for name in NAMES]
-    predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli), BenchParameters())
+    predict = _prediction(rows, NAMES, [one], SimpleNamespace(modes=of_moduli), MOVED)
     return lambda parameters: predict(parameters) - predict(BenchParameters())
 
 
@@ -334,7 +337,7 @@ def test_a_fit_that_takes_another_growth_states_another_loss() -> None:
         sweep(begun_s=0.0, names=("F1",), hz=np.array([2e3]), stiffening=np.array([each]))
         for each in (GROWN, 0.0)
     ]
-    predict = _prediction(rows, ["F1"], sweeps, SimpleNamespace(modes=of_moduli), BenchParameters())
+    predict = _prediction(rows, ["F1"], sweeps, SimpleNamespace(modes=of_moduli), MOVED[:1])
     own, elastic = predict(BenchParameters())
     assert own == pytest.approx(100 * np.log(0.03))
     assert elastic - own == pytest.approx(100 * np.log(2 / (2 - GROWN)))
@@ -384,6 +387,15 @@ def test_drying_moves_the_cane_towards_series_b_by_the_share_that_is_gone(modes)
     log = 0.5 * (BENDING * E + (1 - BENDING) * G)
     assert dry[:2] == pytest.approx(1200 * log / np.log(2), rel=1e-6)
     assert dry[2:] == pytest.approx(-15 * share)
+
+
+def test_other_moduli_follow_what_the_law_of_wood_leaves_open(modes) -> None:
+    law = {"dry_others": 0.1, "warm_others": -4e-3}
+    still = modes(more(BenchParameters(), "environment", drying=0.5, warming_c_h=3.0))
+    changed = modes(more(BenchParameters(), "environment", drying=0.5, warming_c_h=3.0, **law))
+    log = 0.1 * 0.5 * (1 - np.exp(-4)) - 4e-3 * 5
+    assert (changed - still)[:2] == pytest.approx(1200 * ACROSS * log / np.log(2))
+    assert (changed - still)[2:] == pytest.approx([0.0, 0.0])
 
 
 def test_hardening_counts_by_the_square_of_the_depth(modes) -> None:

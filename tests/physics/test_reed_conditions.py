@@ -71,6 +71,30 @@ def test_what_the_laws_leave_open_is_the_same_at_all_frequencies() -> None:
     assert pytest.approx(np.full(12, -0.01 + 0.006)) == more.G_LT - plain.G_LT
 
 
+def test_wood_changes_equally_at_all_frequencies() -> None:
+    """Stiffer as it dries, by 1.7 % for each per cent of water, softer as it warms."""
+    law = Environment(dry_as_wood=1.0, warm_as_wood=1.0)
+    dry = change_of_cane(MEAN_A, law, Condition(np.array(1.0), np.array(0.0)), HZ)
+    assert pytest.approx(np.full(12, 0.08)) == dry.E_L
+    by_h4 = change_of_cane(MEAN_A, Environment(), Condition(np.array(1.0), np.array(0.0)), HZ)
+    assert pytest.approx(by_h4.G_LT) == dry.G_LT
+    warm = change_of_cane(MEAN_A, law, Condition(np.array(0.0), np.array(5.0)), HZ)
+    assert pytest.approx(np.full(12, -5 * 2.3e-3)) == warm.E_L
+    assert pytest.approx(warm.E_L) == warm.G_LT
+    # Halfway, the mean of both laws.
+    half = change_of_cane(
+        MEAN_A, Environment(dry_as_wood=0.5), Condition(np.array(1.0), np.array(0.0)), HZ
+    )
+    assert pytest.approx(0.5 * (by_h4.E_L + 0.08)) == half.E_L
+
+
+def test_other_moduli_change_by_what_is_stated_and_otherwise_not() -> None:
+    condition = Condition(np.array(0.5), np.array(3.0))
+    law = Environment(dry_others=0.1, warm_others=-2e-3)
+    assert change_of_cane(MEAN_A, Environment(), condition, HZ).others == 0
+    assert change_of_cane(MEAN_A, law, condition, HZ).others == pytest.approx(0.05 - 0.006)
+
+
 def test_a_condition_approaches_its_end_and_warmth_grows() -> None:
     environment = Environment(drying=0.4, drying_s=1800.0, warming_c_h=2.0, begun_h=0.5)
     condition = condition_at(environment, np.array([0.0, 1800.0, 1e6]))

@@ -19,7 +19,7 @@ from tests.numbers import cents
 # Moduli that no frequency changes.
 ELASTIC = ViscoelasticCane(Zener(14000.0, 0.0, 0.0), Zener(1100.0, 0.0, 0.0))
 REED = Mechanics(cane=ELASTIC)
-UNCHANGED = ConditionChange(np.zeros(()), np.zeros(()), np.zeros(()))
+UNCHANGED = ConditionChange(*[np.zeros(())] * 4)
 
 
 @pytest.fixture(scope="module")
@@ -174,3 +174,21 @@ def test_both_ways_to_move_a_reed_know_of_the_losses_of_shear(reed_solver):
     altered = AlteredMotion(reed_solver).coordinates(reed, UNCHANGED, hz, 0.0, pressure)
     for key, own in plain.items():
         assert altered[key][: len(own)] == pytest.approx(own, rel=1e-6)
+
+
+def test_a_condition_changes_the_moduli_that_it_names(reed_solver):
+    """The same motion as of a reed whose constants are these from the start."""
+    still = replace(REED, air_share=0.0)
+    logs = {"E_L": 0.02, "G_LT": -0.03, "others": 0.05}
+    change = ConditionChange(**{n: np.asarray(v) for n, v in logs.items()}, loss=np.zeros(()))
+    shift = CaneShift(E_L=0.02, G_LT=-0.03, **dict.fromkeys(("E_T", "E_R", "G_LR", "G_TR"), 0.05))
+    other = replace(still, shift=shift)
+
+    def moved(reed, change):
+        return PlainMotion(reed_solver.reed).coordinates(
+            reed, change, 5000.0, 0.0, lambda _hz, _x, y: (1 + 100 * y).astype(complex)
+        )
+
+    changed, expected = moved(still, change), moved(other, UNCHANGED)
+    for key, own in expected.items():
+        assert changed[key] == pytest.approx(own, rel=1e-9)

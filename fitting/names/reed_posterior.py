@@ -123,7 +123,7 @@ def reed_posterior(
         If no reed that is possible has these modes.
     """
     question = Question(reeds, visible, (float(np.log(ends_hz[0])), float(np.log(ends_hz[1]))))
-    fit = _searched(question, _first(question, measured))
+    fit = _confirmed(question, _searched(question, _first(question, measured)))
     fits = _comparable(question, [fit, *_exchanged(question, fit)])
     return tuple(
         replace(_result(question, each), free_moduli=_with_free_moduli(question, each))
@@ -156,6 +156,19 @@ def _searched(question: Question, fit: Fit) -> Fit:
         real = fit.data.real & (np.arange(len(before)) != worst)
         fit = replace(fit, data=replace(fit.data, real=real))
     return fit
+
+
+def _confirmed(question: Question, fit: Fit) -> Fit:
+    """Search once more from the end of a search that has left out modes; return the likelier end.
+
+    The reed that it has found on the way may have them.
+    """
+    if np.all(fit.data.mode >= 0) and fit.data.real.all():
+        return fit
+    real = np.ones_like(fit.data.real)
+    again = _searched(question, replace(fit, data=replace(fit.data, real=real)))
+    ends = _comparable(question, [fit, again])
+    return max(ends, key=lambda end: _log_evidence(question.reeds, end))
 
 
 def _first(question: Question, measured: MeasuredModes) -> Fit:

@@ -76,6 +76,17 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     assert best.shift_cents < 2 * SHIFT_CENTS[0]
 
 
+@pytest.mark.parametrize("off", [-1e-7, -1e-9, 0.0, 1e-9, 1e-7])
+def test_a_mode_that_a_search_has_left_out_is_looked_for_again(reeds, visible, planted, off):
+    """What rounding decides on the way does not decide whether X2 is found."""
+    sweep = planted(MEASURED, 23, e1=-2.0, e2=-0.7, e3=2.6)
+    moved = replace(sweep.measured, ln_hz=sweep.measured.ln_hz + off)
+    best, found = probabilities_of(reeds, visible, moved)
+    assert found[MEASURED.index("X2")]["X2"] > SURE
+    assert np.all(best.mode >= 0)
+    assert best.shift_cents == pytest.approx(SHIFT_CENTS[0])
+
+
 def test_a_mode_is_the_same_after_a_step_to_a_reed_with_another_order(reeds, visible, planted):
     """From the middle of the population to cane of little viscosity, T2 and F2 cross."""
     sweep = planted(MEASURED, 5, e1=-0.1, e2=2.5, e3=4.0)

@@ -19,6 +19,7 @@ from scipy import linalg
 from scipy.stats import chi2
 
 from diagnosis.inference.candidates import Candidate
+from diagnosis.inference.linear_model import GROSS
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import MEASURED, ObservableGroup, with_noise
 from holography.arrays import Array
@@ -62,6 +63,8 @@ class Floor:
         By which the noise was increased in the fit.
     inflated : float
         By which it was increased before any cause was tried.
+    wrong : tuple of str
+        Numbers that are taken to be wrong: what, of which mode, when.
     """
 
     group: str
@@ -75,6 +78,7 @@ class Floor:
     order_chance: float
     factor: float
     inflated: float = 1.0
+    wrong: tuple[str, ...] = ()
 
     @property
     def trusted(self) -> bool:
@@ -159,9 +163,22 @@ def floor_certificate(
                 order_chance=_order_chance(group, left / np.sqrt(np.diag(group.covariance))),
                 factor=factor,
                 inflated=before.get(group.name, 1.0),
+                wrong=_wrong(group, piece, candidate),
             )
         )
     return tuple(floors)
+
+
+def _wrong(group: ObservableGroup, piece: slice, candidate: Candidate) -> tuple[str, ...]:
+    """Return the numbers of a group that are taken to be wrong, given a candidate."""
+    model = candidate.model
+    columns = model.slopes[piece, model.family == GROSS]
+    raw = np.abs(np.linalg.solve(group.noise_whitening, columns[:, columns.any(axis=0)]))
+    places = [group.coordinates[number] for number in np.argmax(raw, axis=0).tolist()]
+    return tuple(
+        " ".join(part for part in (place.quantity, place.mode, place.time) if part)
+        for place in places
+    )
 
 
 def _scatter(group: ObservableGroup, left: Array, without: str = "") -> tuple[float, float, int]:

@@ -95,11 +95,14 @@ class Errors:
     nuisances : tuple of GroupNuisances
     noise_freedom : float
         Standard deviation of the log of a factor, of at least 1, on the noise.
+    of_fits : bool
+        Whether numbers are results of fits, of which each may be wrong.
     """
 
     noise: Array
     nuisances: tuple[GroupNuisances, ...] = ()
     noise_freedom: float = MEASURED
+    of_fits: bool = False
 
     def covariance(self, nuisances: Iterable[GroupNuisances] = ()) -> Array:
         """Return the covariance (n, n) of noise and some nuisances of usual size."""

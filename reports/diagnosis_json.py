@@ -78,7 +78,7 @@ def to_json(verdict: Diagnosis) -> dict[str, Any]:
 def _floor(floor: Floor) -> dict[str, Any]:
     fields = "scatter", "even_scatter", "order_chance"
     numbers = {name: _finite(getattr(floor, name)) for name in fields}
-    return asdict(floor) | numbers | {"trusted": floor.trusted}
+    return asdict(floor) | numbers | {"wrong": list(floor.wrong), "trusted": floor.trusted}
 
 
 def _likeliest_first(probability: Mapping[str, float]) -> dict[str, float]:

@@ -395,6 +395,9 @@ def _floor_words(verdict: Diagnosis) -> str:
     unchecked = (
         f" Nothing was repeated in {others} others, which this cannot check." if others else ""
     )
+    wrong = [f"{number} ({floor.group})" for floor in verdict.floor for number in floor.wrong]
+    if wrong:
+        unchecked += f" Results of fits that are taken to be wrong: {'; '.join(wrong)}."
     if not doubtful:
         return f"{repeated} groups of observables scatter as their errors say.{unchecked}"
     said = "; ".join(f"{floor.group} ({_doubt(floor)})" for floor in doubtful)

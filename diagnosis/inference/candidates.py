@@ -21,6 +21,7 @@ from diagnosis.inference.estimation import (
     fit,
     posterior_covariance,
 )
+from diagnosis.inference.gross_errors import with_gross_errors
 from diagnosis.inference.linear_model import LinearModel, Weighed, weigh, weighed_at
 from diagnosis.inference.problem import (
     FORM,
@@ -368,6 +369,7 @@ def start_with(problem: InferenceProblem, candidate: Candidate) -> Start:
     model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
     model = _with_sizes(problem, model, slopes, candidate.sizes)
     weighed = weigh(model, candidate.weighed.scales)
+    model, weighed = with_gross_errors(problem, model, weighed)
     return Start(parameters, residuals, model, weighed, np.zeros(0), weighed)
 
 
@@ -382,7 +384,9 @@ def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate)
     model = problem.linear_model(found.residuals, slopes[:, :p], z)
     model = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
     seen = _seen(problem, slopes[:, :p], slopes[:, p + others :] @ sizes[others:])
-    weighed = weigh(problem.with_form(model, seen), candidate.weighed.scales)
+    formed = problem.with_form(model, seen)
+    formed, weighed = with_gross_errors(problem, formed, weigh(formed, candidate.weighed.scales))
+    model = model.with_errors_of(formed)
     bare = weighed_at(model, weighed.scales)
     return Start(before, found.residuals, model, weighed, sizes[others:], bare)
 

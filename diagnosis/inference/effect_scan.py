@@ -18,7 +18,8 @@ from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
 from diagnosis.inference.estimation import MapEstimate
-from diagnosis.inference.linear_model import LinearModel, Weighed, weigh
+from diagnosis.inference.gross_errors import with_gross_errors
+from diagnosis.inference.linear_model import GROSS, LinearModel, Weighed, weigh
 from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from holography.arrays import Array
 from physics.effects.effect import Effect
@@ -77,7 +78,7 @@ class Start:
         """Return the model without effects, as it was fitted."""
         model = problem.linear_model(found.residuals, found.jacobian, found.z)
         parameters = problem.parameters(found.z)
-        weighed = weigh(model)
+        model, weighed = with_gross_errors(problem, model, weigh(model))
         return cls(parameters, found.residuals, model, weighed, np.zeros(0), weighed)
 
 
@@ -328,6 +329,22 @@ class _Swept:
             gains[k] -= 0.5 * float(np.linalg.slogdet(known)[1])
         return np.asarray(gains)
 
+    def _weighed(self, model: LinearModel) -> tuple[LinearModel, Weighed, int]:
+        """Weigh a model with the numbers that are wrong at the start, or those that now are.
+
+        Return it with the position of its first second parameter.
+        """
+        start, problem = self.line.start, self.line.problem
+        after, position = weigh(model, start.weighed.scales, _TURNS), len(start.model.family)
+        before = int(np.sum(start.model.family != GROSS))
+        if before == position:
+            return *with_gross_errors(problem, model, after), position
+        right = model.without_gross_errors()
+        own, other = with_gross_errors(problem, right, weigh(right, after.scales, _TURNS))
+        if other.log_evidence > after.log_evidence:
+            return own, other, before
+        return model, after, position
+
     def scan(self, elsewhere: float, log_hidden: float) -> Scan:
         """Return the scan of an effect of which this line is the best.
 
@@ -345,9 +362,9 @@ class _Swept:
         shift, seconds = self.moved(share), self.seconds(share)
         # What nuisances absorb of an effect, they absorb in any form.
         seen = start.model.not_absorbed(shift - self.moved(0.0), start.model.usual)
-        model = line.problem.with_form(start.model.moved(shift).with_columns(seconds), seen)
-        after = weigh(model, start.weighed.scales, _TURNS)
-        sizes, q = line.sizes_at(share), len(start.model.family)
+        moved = start.model.moved(shift).with_columns(seconds)
+        model, after, q = self._weighed(line.problem.with_form(moved, seen))
+        sizes = line.sizes_at(share)
         own = after.nuisances[q : q + len(line.seconds)]
         sizes[line.seconds] += own
         columns = np.zeros((len(shift), len(sizes)))

@@ -28,6 +28,8 @@ _STEPS = 8
 _MOST_FORM = 2.0
 # Family of a column whose standard deviation is known.
 KNOWN = -1
+# The same of a number that is wrong, see `diagnosis.inference.gross_errors`.
+GROSS = -2
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,16 @@ class LinearModel:
     group : (n,) int
         Group of each number, from 0.
     family : (q,) int
-        Family of each nuisance, from 0; `KNOWN` for those of known standard deviation. The last
-        family is the form of effects.
+        Family of each nuisance, from 0; `KNOWN` for those of known standard deviation, `GROSS` for
+        those of numbers that are wrong. The last family is the form of effects.
     noise_freedom : (g,) float
         Standard deviation of the log of each group's noise factor.
     family_freedom : (f,) float
         The same of each family's factor.
     form : (n,) float
         Further variance of each number by the form of effects, where their factor is 1.
+    log_prior : float
+        Of the numbers that are wrong, over that of none.
     """
 
     left: Array
@@ -81,6 +85,7 @@ class LinearModel:
     noise_freedom: Array
     family_freedom: Array
     form: Array
+    log_prior: float = 0.0
 
     @cached_property
     def structure(self) -> Structure:
@@ -99,6 +104,39 @@ class LinearModel:
             slopes=np.hstack([self.slopes, columns]),
             family=np.concatenate([self.family, np.full(columns.shape[1], KNOWN)]),
         )
+
+    def with_gross_error(self, column: Array, log_prior: float) -> "LinearModel":
+        """Return the model with a number that is wrong.
+
+        Parameters
+        ----------
+        column : (n,) float
+            One standard deviation of its error.
+        log_prior : float
+            Log odds that it is wrong.
+        """
+        return replace(
+            self,
+            slopes=np.hstack([self.slopes, column[:, None]]),
+            family=np.append(self.family, GROSS),
+            log_prior=self.log_prior + log_prior,
+        )
+
+    def with_errors_of(self, other: "LinearModel") -> "LinearModel":
+        """Return the model in which those numbers are wrong that are in another one."""
+        own, others = self.family != GROSS, other.family == GROSS
+        gross = other.slopes[:, others]
+        return replace(
+            self,
+            slopes=np.hstack([self.slopes[:, own], gross]),
+            family=np.concatenate([self.family[own], other.family[others]]),
+            log_prior=other.log_prior,
+        )
+
+    def without_gross_errors(self) -> "LinearModel":
+        """Return the model in which no number is wrong."""
+        own = self.family != GROSS
+        return replace(self, slopes=self.slopes[:, own], family=self.family[own], log_prior=0.0)
 
     def with_form(self, columns: Array, variance: Array) -> "LinearModel":
         """Return the model with an effect whose form may deviate.
@@ -127,7 +165,7 @@ class LinearModel:
     def prior_variance(self, scales: Scales) -> Array:
         """Return the variance (q,) of the nuisances before anything is measured."""
         variance = np.ones(len(self.family))
-        scaled = self.family != KNOWN
+        scaled = self.family >= 0
         variance[scaled] = np.exp(2 * scales.families[self.family[scaled]])
         return variance
 
@@ -206,7 +244,7 @@ def weighed_at(model: LinearModel, scales: Scales) -> Weighed:
     log_det = float(np.sum(np.log(found.variance)) - found.log_det)
     log_det += float(np.sum(np.log(model.prior_variance(scales))))
     return Weighed(
-        log_evidence=-0.5 * (found.squares + log_det + unusual),
+        log_evidence=model.log_prior - 0.5 * (found.squares + log_det + unusual),
         scales=scales,
         nuisances=found.mean,
         unusual=unusual,
@@ -238,7 +276,7 @@ def _next(model: LinearModel, scales: Scales, found: Posterior) -> Scales:
     sums = np.bincount(model.group, square, groups).astype(float)
     counts = np.bincount(model.group, minlength=groups).astype(float)
     families = len(model.family_freedom)
-    scaled = model.family != KNOWN
+    scaled = model.family >= 0
     own = found.mean**2 + uncertain
     amounts = np.bincount(model.family[scaled], own[scaled], families).astype(float)
     sizes = np.bincount(model.family[scaled], minlength=families).astype(float)

@@ -181,7 +181,7 @@ def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
     )
     wider = model.family_freedom[:, None] * rng.standard_normal((len(model.family_freedom), _DRAWS))
     scale = np.ones((len(model.family), _DRAWS))
-    scaled = model.family != KNOWN
+    scaled = model.family >= 0
     scale[scaled] = np.exp(wider[model.family[scaled]])
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (len(model.left), _DRAWS))
     noise *= np.sqrt(np.exp(2 * louder[model.group]) + np.exp(2 * wider[-1]) * model.form[:, None])

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -118,6 +118,22 @@ class InferenceProblem:
         return block.whitened_residual(
             BenchParameters(**dict(zip(block.parts, parts, strict=True)))
         )
+
+    @cached_property
+    def errors_of_fits(self) -> Array:
+        """One standard error of each number that is the result of a fit (n, k), in units of noise.
+
+        See `Errors.of_fits`.
+        """
+        count = sum(len(group.values) for group in self.groups)
+        found = [np.zeros((count, 0))]
+        for group in self.groups:
+            if group.errors.of_fits:
+                errors = np.sqrt(np.diag(group.errors.covariance()))
+                table = np.zeros((count, len(errors)))
+                table[self.slices[group.name]] = group.noise_whitening * errors
+                found.append(table)
+        return np.hstack(found)
 
     def to_noise(self, whitened: Array) -> Array:
         """Return numbers (n, ...) that are in units of all errors, in units of the noise."""

@@ -108,7 +108,7 @@ def modes_group(
     nuisances = _nuisances(rows, common, sweeps, reed_solver, nominal, shares)
     predict = _prediction(rows, common, sweeps, reed_solver, moved)
     parts = ("reed", "environment")
-    errors = Errors(noise, nuisances)
+    errors = Errors(noise, nuisances, of_fits=True)
     return observable_group("modes", Observable.MODES, values, errors, places, parts, predict)
 
 

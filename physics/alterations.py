@@ -19,6 +19,10 @@ from physics.reed.reduced.changes import (
 )
 from physics.reed.reduced.reed import ReducedReed
 
+# Standard deviation of `Mechanics.bed_shear_log`: logarithms of 1.2 for dry contacts, 2 for cork,
+# 2.7, and 4.3 for thin layers that cannot spread, over 2.7, have an rms of 0.5 (decision 0096).
+BED_SHEAR_SPREAD: Final = 0.5
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -120,11 +124,6 @@ class MovedClamp:
 
 
 Alteration = Layer | RandomLayer | TipMass | SoftSpot | YieldingClamp | MovedClamp
-
-
-# Standard deviation of `Mechanics.bed_shear_log`: logarithms of 1.2 for dry contacts, 2 for cork,
-# 2.7, and 4.3 for thin layers that cannot spread, over 2.7, have an rms of 0.5 (decision 0096).
-BED_SHEAR_SPREAD: Final = 0.5
 Alterations = tuple[tuple[Alteration, float], ...]
 """Alterations, each with its amount."""
 
@@ -138,7 +137,7 @@ class _Sliding:
 
 def with_sliding(
     alterations: Alterations, bed_shear_log: float
-) -> list[tuple["Alteration | _Sliding", float]]:
+) -> list[tuple[Alteration | _Sliding, float]]:
     """Return alterations with what clamps yield along the reed, which `unit_change` tells apart.
 
     Parameters

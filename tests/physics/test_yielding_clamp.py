@@ -101,7 +101,7 @@ def test_beds_yield_along_the_reed_by_their_shear(coarse_reed) -> None:
     np.testing.assert_allclose(even[: len(own), : len(own)], 1.5e-13 * own, rtol=1e-9)
 
 
-def test_every_clamp_of_a_reed_shears_alike(coarse_reed) -> None:
+def test_all_clamps_of_a_reed_have_one_ratio(coarse_reed) -> None:
     log = 0.4
     clamps = ((YieldingClamp(), 1e-13), (YieldingClamp(1), 5e-14))
     made = combined((a, unit_change(coarse_reed, k)) for k, a in with_sliding(clamps, log))

@@ -245,9 +245,12 @@ def test_normal_values_are_cut_at_zero():
 
 
 def test_dense_cane_is_not_taken_for_soft_cane(model, unknown):
-    """Frequencies of a dense reed fall together, and those of cane of H4 cannot."""
-    dense_cane = CaneShift(density=float(unknown.cane[:, NUMBERS.index("density")].sum()))
-    found = {Series.A: swept(model, pattern(unknown, "density"))}
+    """Frequencies of a dense reed fall together, and those of cane of H4 cannot.
+
+    The reed is denser by one and a half standard deviations.
+    """
+    dense_cane = CaneShift(density=1.5 * float(unknown.cane[:, NUMBERS.index("density")].sum()))
+    found = {Series.A: swept(model, 1.5 * pattern(unknown, "density"))}
     without = with_cane_of_h4(unknown)
     plain = {Series.A: swept(model, np.zeros(11))}
     values = np.array([0.5, -0.4, 0.3])
@@ -260,7 +263,7 @@ def test_dense_cane_is_not_taken_for_soft_cane(model, unknown):
             for each in (found, plain)
         )
         off.append(dense / other / truth - 1)
-    assert abs(off[0]) > 0.015
+    assert abs(off[0]) > 0.02
     assert abs(off[1]) < 0.01
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from diagnosis.floor_certificate import floor_certificate
-from diagnosis.inference.candidates import without_effects
+from diagnosis.inference.candidates import _beyond, start_with, without_effects
 from diagnosis.inference.effect_scan import Start
 from diagnosis.inference.gross_errors import TIMES, with_gross_errors
 from diagnosis.inference.linear_model import GROSS, weigh, weighed_at
@@ -160,3 +160,15 @@ def test_what_is_taken_to_be_wrong_is_said() -> None:
     assert set(floor.wrong) == {"line t5", "line t17"}
     (even,) = floor_certificate(measured({}), without_effects(measured({}), [np.zeros(1)]))
     assert even.wrong == ()
+
+
+def test_what_is_added_to_an_effect_finds_the_same_number_wrong() -> None:
+    """In pairs, and where an effect is scanned again at its full fit."""
+    problem = measured({AT + 12: 15.0}, bench(leak=0.1))
+    slope = select_model(problem, TRIED).single["slope"]
+    assert np.count_nonzero(slope.model.family == GROSS) == 1
+    for start in (start_with(problem, slope), _beyond(problem, slope, slope.estimate)):
+        assert start is not None
+        column = start.model.slopes[:, start.model.family == GROSS]
+        assert int(np.argmax(np.abs(column))) == AT + 12
+        assert start.bare.log_evidence == pytest.approx(start.weighed.log_evidence, abs=1.0)

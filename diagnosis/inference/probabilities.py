@@ -10,16 +10,19 @@ from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
 
-# Prior of something unknown in addition to an effect, relative to the effect's.
-_ALSO = 0.05
-# Probability that something unknown is too small to be seen.
-_UNSEEN = 0.3
-
 NONE, UNKNOWN = "none", "unknown"
-# Prior probabilities, a choice: it is an even bet whether anything is wrong; of what is wrong, a
-# quarter is not in the catalogue; of what is in it, one bench in six has two effects at a time. How
-# the verdict depends on them is on the page (docs/explanation/diagnosis.md).
-PRIOR: Final = {"none": 0.5, "one": 0.3125, "two": 0.0625, "unknown": 0.125}
+# A choice: it is an even bet whether anything is wrong; of what is wrong, a quarter is not in the
+# catalogue; one bench in six of those has two things wrong.
+_WRONG, _NOT_LISTED, _TWO = 1 / 2, 1 / 4, 1 / 6
+# What follows from it: nothing, one effect, two, something unknown alone, and next to an effect.
+# How the verdict depends on them is on the page (docs/explanation/diagnosis.md).
+PRIOR: Final = {
+    "none": 1 - _WRONG,
+    "one": _WRONG * (1 - _TWO) * (1 - _NOT_LISTED),
+    "two": _WRONG * _TWO * (1 - _NOT_LISTED) ** 2,
+    "unknown": _WRONG * ((1 - _TWO) * _NOT_LISTED + _TWO * _NOT_LISTED**2),
+    "also": _WRONG * _TWO * 2 * _NOT_LISTED * (1 - _NOT_LISTED),
+}
 # Factor by which a class is likelier or less likely beforehand for somebody else. Chosen.
 _ANOTHER_VIEW = 3.0
 
@@ -99,6 +102,7 @@ def log_probabilities(
         (decision 0054).
     """
     effects, null = evidence.effects, evidence.null
+    unseen = unseen_share(evidence)
     terms: defaultdict[str, list[float]] = defaultdict(list)
     terms[NONE].append(float(np.log(prior["none"])))
     for name, candidate in evidence.candidates.items():
@@ -110,12 +114,25 @@ def log_probabilities(
     for name in evidence.unseen:
         terms[NONE if only_what_shows else name].append(log_prior(1, effects, prior))
     unknown = float(np.log(prior["unknown"]))
-    terms[UNKNOWN].append(unknown + float(np.log1p(-_UNSEEN)) + evidence.unknown)
-    terms[NONE if only_what_shows else UNKNOWN].append(unknown + float(np.log(_UNSEEN)))
+    terms[UNKNOWN].append(unknown + float(np.log1p(-unseen)) + evidence.unknown)
+    terms[NONE if only_what_shows else UNKNOWN].append(unknown + float(np.log(unseen)))
     terms[UNKNOWN] += log_odds_with_unknown(evidence, prior).values()
     logs = {name: float(logsumexp(each)) for name, each in terms.items()}
     total = logsumexp(list(logs.values()))
     return {name: float(log - total) for name, log in logs.items()}
+
+
+def unseen_share(evidence: Evidence) -> float:
+    """Return the probability that something unknown is too small to be seen in these campaigns.
+
+    It is taken to be that of an effect of the catalogue: what nobody has thought of is no better
+    and no worse to see. One effect more that shows, and one that does not, keep it from 0 and 1
+    (Laplace's rule of succession).
+    """
+    null = evidence.null.log_evidence
+    alone = [one for one in evidence.candidates.values() if len(one.effects) == 1]
+    hidden = [min(1.0, float(np.exp(one.log_hidden - null))) for one in alone]
+    return (len(evidence.unseen) + sum(hidden) + 1) / (len(evidence.unseen) + len(alone) + 2)
 
 
 def _log_hidden(
@@ -130,8 +147,9 @@ def log_odds_with_unknown(
     evidence: Evidence, prior: Mapping[str, float] = PRIOR
 ) -> dict[str, float]:
     """Return the log odds of something unknown in addition to each of the likeliest candidates."""
+    also = float(np.log(prior["also"] / prior["one"]))
     return {
-        name: float(np.log(_ALSO))
+        name: also
         + log_odds(evidence.candidates[name], evidence.null, evidence.effects, prior)
         + more
         for name, more in evidence.unknown_with.items()

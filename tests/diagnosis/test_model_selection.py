@@ -14,7 +14,7 @@ from diagnosis.inference.model_selection import (
     refit_candidate,
     select_model,
 )
-from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN
+from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN, unseen_share
 from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
@@ -215,8 +215,25 @@ def test_priors_of_others_move_a_probability_by_no_more_than_their_odds() -> Non
 
 def test_what_cannot_be_seen_may_still_be_unknown() -> None:
     # Nothing is off: what is unknown is as likely as before, but for what would have been seen.
-    found = select_model(measured(12, bench()), EFFECTS).log_probability
-    assert 0.3 * PRIOR["unknown"] / PRIOR["none"] < np.exp(found[UNKNOWN] - found[NONE]) < 0.25
+    selection = select_model(measured(12, bench()), EFFECTS)
+    found, before = selection.log_probability, PRIOR["unknown"] / PRIOR["none"]
+    share = unseen_share(selection.evidence)
+    assert share * before < np.exp(found[UNKNOWN] - found[NONE]) < before
+    # One of four effects moves nothing; all strengths of the others show, or not where it is noisy.
+    assert share == pytest.approx(2 / 6)
+    noisy = select_model(measured(12, bench(), noise=2.0), EFFECTS)
+    assert 2.1 / 6 < unseen_share(noisy.evidence) < 4 / 6
+
+
+def test_priors_follow_from_one_another() -> None:
+    assert sum(PRIOR.values()) == pytest.approx(1.0)
+    assert PRIOR["none"] == 0.5
+    # Of causes that are alone, and of those next to an effect, a quarter is not in the catalogue.
+    two_unknown = 0.5 / 6 / 16
+    alone = PRIOR["one"] + PRIOR["unknown"] - two_unknown
+    assert (PRIOR["unknown"] - two_unknown) / alone == pytest.approx(0.25)
+    causes = 2 * (PRIOR["two"] + PRIOR["also"] + two_unknown)
+    assert (PRIOR["also"] + 2 * two_unknown) / causes == pytest.approx(0.25)
 
 
 def test_a_gain_of_form_alone_is_no_signal() -> None:

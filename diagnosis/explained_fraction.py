@@ -18,8 +18,9 @@ from diagnosis.inference.estimation import residual_covariance
 from diagnosis.inference.problem import InferenceProblem
 from physics.sized_effect import SizedEffect
 
+# Chosen: quantiles of 5 and 95 % come out within 2 % of the width.
 _DRAWS = 2000
-# A gap that chance makes more often than this is not resolvable.
+# A gap that chance makes more often than this is not resolvable. Chosen, as for a significant test.
 _CHANCE = 0.01
 
 

@@ -17,7 +17,8 @@ from diagnosis.observable_groups import Observable, ObservableGroup
 from holography.arrays import Array
 
 AXES = ("quantity", "mode", "band", "region", "time", "level")
-# A cell is resolvable if chance makes as much in a smaller fraction of campaigns.
+# A cell is resolvable if chance makes as much in a smaller fraction of campaigns. Chosen, as for a
+# significant test.
 _CHANCE = 0.01
 
 

@@ -26,7 +26,7 @@ from physics.parameters.tree import BenchParameters
 # Shares by which what a reed shows next to its clamp differs from what is expected: in all sweeps,
 # and in each. Chosen: clamps yield, and speckle is seen where it happens to be bright.
 _REEDS, _SWEEPS = 1.0, 0.3
-# Fraction of the carrier that may stay where it has been subtracted.
+# Fraction of the carrier that may stay where it has been subtracted. Chosen: a third.
 _LEFT = 0.3
 
 

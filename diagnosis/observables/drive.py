@@ -38,25 +38,30 @@ from physics.parameters.tree import BenchParameters
 from physics.plausible.chambers import log_forces
 from physics.reed.elements.fem import Symmetry
 
+# Gains that are kept. Chosen: some hundred kilobytes.
 _KEPT = 8192
 # Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
-# asked to.
+# asked to. Chosen: a fifteenth of a step of 25 cents.
 _SAME_HZ = 1e-3
-# Log of the drive: polynomials of this degree are anyone's; noise of one hologram at least, and of
-# a weaker one more.
+# Log of the drive: polynomials of this degree may be any speaker's, of any size. Chosen: four
+# bends in three octaves.
 _DEGREE, _SMOOTH = 5, 1.0
 # Waves of a loudspeaker's response: standard deviation of its log, and correlation length in log
 # frequency. Data sheets of tweeters: within 3 dB from 2 to 20 kHz; domes break up in resonances
 # with qualities of 3 to 20, whose widths are these.
 _WAVES = ((0.3, 0.3), (0.1, 0.08))
-# Directions with less of their variance than this are left out.
+# Directions with less of their variance than this are left out. Chosen: a thousandth of a wave.
 _LEAST_WAVE = 1e-6
-# Log frequency over which leaked light at a small-amplitude hologram spreads.
+# Log frequency over which leaked light at a small-amplitude hologram spreads: the width of a mode
+# with a loss factor of 0.05.
 _NEAR = 0.05
+# Error of the log drive of one hologram at least, and of a weaker one more. Chosen: gains scatter
+# by half a per cent a step, and light follows them.
 _LEAST, _WEAK = 0.01, 0.02
-# Acoustic paths cancel to this gain at most.
+# Acoustic paths cancel to this gain at most. Chosen: 60 dB, more than walls let through.
 _LEAST_GAIN = 1e-3
-# Holograms over which sweeps may differ smoothly; at the ends little tells what is smooth.
+# Holograms over which sweeps may differ smoothly: 375 cents, a resonance of quality 5. At the ends
+# little tells what is smooth: share of the range, and error of the log there. Chosen.
 _AROUND, _END_SHARE, _END = 15, 0.06, 0.1
 # Beyond this frequency modes are too dense to separate them from the drive.
 _HIGHEST_HZ = 16.5e3

@@ -23,10 +23,12 @@ from holography.phase import steady_turn
 from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters
 
-# Error that all locks may have in common, Hz.
-_COMMON_HZ = 4e-4
-# Fewest steps of a mean.
+# Crystals of cameras are right within 100 parts per million: by so much of a quarter turn per frame
+# all locks may be off.
+_CAMERA_CLOCK = 1e-4
+# Fewest steps of a mean. Chosen: from fewer, nothing is known of their scatter.
 _LEAST = 4
+# Turns that are kept. Chosen: some hundred kilobytes.
 _KEPT = 4096
 
 
@@ -134,7 +136,7 @@ def lock_group(beat: StepLog, rate_hz: float) -> ObservableGroup | None:
         return lock - turn_of_unequal_steps(parameters) * rate_hz / (2 * np.pi)
 
     covariance = np.diag(np.square(errors)) + unknown_directions(
-        (np.ones(len(values)), _COMMON_HZ), *repeated
+        (np.ones(len(values)), _CAMERA_CLOCK * rate_hz / 4), *repeated
     )
     return observable_group(
         "lock", Observable.HOLOGRAM, values, covariance, places, ("clocks", "optics"), predict

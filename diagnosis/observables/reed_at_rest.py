@@ -24,7 +24,9 @@ from physics.parameters.disorder import BY_NAME
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 
-# Factor for the scatter of few numbers, and the weight of the scatter by a phase walk, in numbers.
+# Factor for the scatter of few numbers: Student's distribution of six degrees of freedom is as much
+# wider than a normal one. Weight of the scatter by a phase walk, in numbers: chosen, that of the
+# acquisitions of a short campaign.
 _FEW, _BELIEVED = 1.2, 4.0
 # Efficiency of the median of absolute deviations as a measure of scatter, for normal deviates
 # (Rousseeuw and Croux, J. Am. Stat. Assoc. 88, 1273 (1993)).

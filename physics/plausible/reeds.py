@@ -14,9 +14,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from holography.arrays import Array
-from physics.alterations import RandomLayer
+from physics.alterations import BED_SHEAR_SPREAD, RandomLayer
 from physics.effects.catalogue import BY_ID
 from physics.mechanics import CaneShift, cane_law
 from physics.parameters.disorder import BY_NAME
@@ -25,6 +26,7 @@ from physics.plausible.surfaces import ThicknessFunctions
 from physics.reed.cane.material import STIFFNESS_TERMS, terms_and_slopes
 from physics.reed.cane.viscoelastic import Components, Series, viscoelastic_cane
 from physics.reed.geometry import half_width_m
+from physics.reed.reduced.changes import BED_SHEAR, Change, combined, yielding_clamp
 from physics.reed.reduced.derivatives import DENSITY, PARAMETERS, derivatives
 from physics.reed.reduced.dynamics import CaneLaw, State
 from physics.reed.reduced.reed import ReducedReed
@@ -48,6 +50,11 @@ BEYOND_H4 = {
 # Name of the first parameter that is not of the cane.
 _FIRST_LAYER = "thickness 1"
 _SHAPE = ("thickness_slope", "clamp_shift", "clamp_tilt")
+# How far the clamp yields, and how many times more along the reed.
+_CLAMP = ("clamp_compliance", "bed_shear")
+(_COMPLIANCE,) = BY_ID["clamp_compliance"].parameters
+# Steps of standard deviations for derivatives by these. Chosen: small next to 1, where they bend.
+_CLAMP_STEP = 1e-4
 _CENT = float(np.log(2) / 1200)
 # Modes of one symmetry that are farther apart in the reference do not exchange their characters.
 # Chosen: three times the repulsion of X1 and L1 (109 cents), the strongest of the paper's reed.
@@ -62,8 +69,9 @@ def _ordinary(name: str) -> float:
 class PlausibleReeds:
     """All reeds of one kind that are plausible in a series, with p parameters.
 
-    The m modes of the reference, the reed in the middle, are the coordinates of whatever is not
-    cane: thickness, clamp and air act on them to first order, cane exactly.
+    The m modes of the reference, the reed in the middle, are the coordinates of thickness, of the
+    clamp's place and of air, which act on them to first order. Cane, and how far the clamp yields,
+    act exactly.
 
     Attributes
     ----------
@@ -71,8 +79,9 @@ class PlausibleReeds:
     series : Series
     names : tuple of str
         Parameters: components and constants of the cane, with the level and growth of E_L and G_LT
-        where they are free (see `with_free_moduli`), then thickness, clamp and air, then the shift
-        of each mode of the reference, and the coupling of those that are close, in cents.
+        where they are free (see `with_free_moduli`), then how the clamp yields, then thickness,
+        place of the clamp and air, then the shift of each mode of the reference, and the coupling
+        of those that are close, in cents.
     reference : Vibrations
         Of the reed whose parameters are all 0, in vacuum.
     stiffness : (d, 9, m, m) float
@@ -109,8 +118,9 @@ class PlausibleReeds:
         series : Series
         """
         components = ("e1", "e2", "e3") if series is Series.A else ("e1", "e2", "e3", "e4")
-        law = _law(reed, series, dict.fromkeys((*components, *_CONSTANTS), 0.0))
-        reference = vibrations(reed, State(law), _HIGHEST_HZ)
+        middle = dict.fromkeys((*components, *_CONSTANTS, *_CLAMP), 0.0)
+        law = _law(reed, series, middle)
+        reference = vibrations(reed, State(law, _clamp(reed, middle)), _HIGHEST_HZ)
         thickness = _thickness(reed)
         stiffness, mass = _layers(reference, thickness)
         moved_stiffness, moved_mass = _moved_clamp(reference)
@@ -121,7 +131,7 @@ class PlausibleReeds:
         return cls(
             reed=reed,
             series=series,
-            names=(*components, *_CONSTANTS, *layers, *_SHAPE, "air", *shifts),
+            names=(*components, *_CONSTANTS, *_CLAMP, *layers, *_SHAPE, "air", *shifts),
             reference=reference,
             stiffness=np.concatenate([stiffness, moved_stiffness]),
             mass=np.concatenate([mass, moved_mass]),
@@ -142,19 +152,20 @@ class PlausibleReeds:
         ImpossibleReedError
             If no material has its moduli.
         """
-        cane = dict(zip(self.names, parameters.tolist(), strict=True))
-        found = vibrations(self.reed, State(self.law(parameters)), _HIGHEST_HZ)
+        values = dict(zip(self.names, parameters.tolist(), strict=True))
+        state = State(self.law(parameters), _clamp(self.reed, values))
+        found = vibrations(self.reed, state, _HIGHEST_HZ)
         stiffness, mass = self._by_others(found)
-        by_cane = self._by_cane(found, cane)
+        exactly = self._by_cane_and_clamp(found, values)
         start = parameters.copy()
-        start[self._cane_parameters :] = 0.0
+        start[self._first_layer :] = 0.0
         return NearbyReeds(
             found,
             start,
             self.names.index("air"),
             self.characters.T @ self._turned(found),
-            np.concatenate([by_cane, stiffness]),
-            np.concatenate([np.zeros_like(by_cane), mass]),
+            np.concatenate([exactly, stiffness]),
+            np.concatenate([np.zeros_like(exactly), mass]),
         )
 
     def with_free_moduli(self) -> "PlausibleReeds":
@@ -163,7 +174,7 @@ class PlausibleReeds:
         The law of the paper is that of one brand. It is good for telling modes apart; how fast
         moduli grow near a mode is known less well than by it.
         """
-        count = self._cane_parameters
+        count = self.clamp
         return replace(self, names=(*self.names[:count], *BEYOND_H4, *self.names[count:]))
 
     def law(self, parameters: Array) -> CaneLaw:
@@ -173,8 +184,13 @@ class PlausibleReeds:
     @property
     def moduli(self) -> NDArray[np.intp]:
         """Numbers of the parameters that E_L and G_LT follow: components, and what leaves H4."""
-        free = enumerate(self.names[: self._cane_parameters])
+        free = enumerate(self.names[: self.clamp])
         return np.array([number for number, name in free if name not in _CONSTANTS])
+
+    @property
+    def clamp(self) -> int:
+        """Number of the parameter by which the clamp yields."""
+        return self.names.index(_CLAMP[0])
 
     @property
     def shifts(self) -> slice:
@@ -188,7 +204,7 @@ class PlausibleReeds:
         return _parts(self.reference)
 
     @property
-    def _cane_parameters(self) -> int:
+    def _first_layer(self) -> int:
         return self.names.index(_FIRST_LAYER)
 
     def _shifted(self, turned: Array) -> Array:
@@ -207,17 +223,21 @@ class PlausibleReeds:
         mass = density * self.reed.mass
         return np.asarray(self.reference.coordinates.T @ mass @ found.coordinates)
 
-    def _by_cane(self, found: Vibrations, cane: Mapping[str, float]) -> Array:
-        """Return the couplings (c, m, m) of parameters of the cane."""
-        slopes, law = derivatives(found).couplings, found.state.law
+    def _by_cane_and_clamp(self, found: Vibrations, values: Mapping[str, float]) -> Array:
+        """Return the couplings (c, m, m) of parameters of the cane, and of how the clamp yields."""
+        yielding = {name: _clamp_slope(self.reed, values, name) for name in _CLAMP}
+        slopes, law = derivatives(found, list(yielding.values())).couplings, found.state.law
         answer: list[Array] = []
-        at = {name: slopes[..., number] for number, name in enumerate(PARAMETERS)}
-        for name in self.names[: self._cane_parameters]:
-            if name in BEYOND_H4:
+        known = (*PARAMETERS, *yielding)
+        at = {name: slopes[..., number] for number, name in enumerate(known)}
+        for name in self.names[: self._first_layer]:
+            if name in yielding:
+                answer.append(at[name])
+            elif name in BEYOND_H4:
                 slope = at[name if name.startswith("growth") else f"ln {name}_pa"]
                 answer.append(BEYOND_H4[name] * slope)
             elif name not in _CONSTANTS:
-                moved = _law(self.reed, self.series, {**cane, name: cane[name] + _STEP})
+                moved = _law(self.reed, self.series, {**values, name: values[name] + _STEP})
                 grown = np.log(moved.constants_at(found.hz) / law.constants_at(found.hz)) / _STEP
                 # A coupling takes the mean of both modes: moduli change little between close ones.
                 both = 0.5 * (grown[:, None] + grown[None, :])
@@ -262,6 +282,23 @@ def _law(reed: ReducedReed, series: Series, cane: Mapping[str, float]) -> CaneLa
     moduli = {name: spread * cane.get(name, 0.0) for name, spread in BEYOND_H4.items()}
     shift = CaneShift(**constants, **moduli)
     return cane_law(reed.cane, viscoelastic_cane(components, series), shift)
+
+
+def _clamp(reed: ReducedReed, values: Mapping[str, float]) -> Change:
+    """Return what a clamp changes whose parameters are given in standard deviations.
+
+    It never yields less than nothing: compliances are half of a normal distribution.
+    """
+    compliance_m_pa = _COMPLIANCE.spread * float(ndtri(0.5 + 0.5 * ndtr(values[_CLAMP[0]])))
+    along = BED_SHEAR * np.exp(BED_SHEAR_SPREAD * values[_CLAMP[1]])
+    return yielding_clamp(reed, compliance_m_pa, compliance_m_pa, along=along)
+
+
+def _clamp_slope(reed: ReducedReed, values: Mapping[str, float], name: str) -> Change:
+    """Return the derivative of `_clamp` by one of its parameters."""
+    step = 0.5 * _CLAMP_STEP
+    ends = [(side / _CLAMP_STEP, {**values, name: values[name] + side * step}) for side in (1, -1)]
+    return combined((by, _clamp(reed, end)) for by, end in ends)
 
 
 def _characters(reference: Vibrations) -> Array:

@@ -14,7 +14,6 @@ from physics.reed.cane.viscoelastic import (
     viscoelastic_cane,
 )
 from physics.reed.mode_classification import names_of
-from physics.reed.reduced.dynamics import State
 from physics.reed.reduced.vibrations import vibrations
 from tests.fitting.names.conftest import planting
 
@@ -55,7 +54,10 @@ def test_shares_and_growth_say_how_modes_follow_all_moduli(reeds, viscous):
     apart = [
         vibrations(
             reeds.reed,
-            State(replace(law, constants=replace(law.constants, density_kg_m3=density))),
+            replace(
+                found.state,
+                law=replace(law, constants=replace(law.constants, density_kg_m3=density)),
+            ),
             top_hz,
         ).hz
         for density in law.constants.density_kg_m3 * np.exp([step, -step])

@@ -46,18 +46,26 @@ _SAME_HZ = 1e-3
 # Log of the drive: polynomials of this degree may be any speaker's, of any size. Chosen: four
 # bends in three octaves.
 _DEGREE, _SMOOTH = 5, 1.0
-# Waves of a loudspeaker's response: standard deviation of its log, and correlation length in log
-# frequency. Data sheets of tweeters: within 3 dB from 2 to 20 kHz; domes break up in resonances
-# with qualities of 3 to 20, whose widths are these.
-_WAVES = ((0.3, 0.3), (0.1, 0.08))
-# Directions with less of their variance than this are left out. Chosen: a thousandth of a wave.
-_LEAST_WAVE = 1e-6
+# Waves of what a loudspeaker sends: standard deviation of its log, and correlation length in log
+# frequency. Data sheets of tweeters: within 3 dB from 2 to 20 kHz.
+_WAVES = 0.3, 0.3
+# ... and of resonances in which domes break up, at any frequencies: three of them in an octave, of
+# heights of 0.4 and qualities up to 20, have this standard deviation of the log, and the covariance
+# 1 / (1 + (Q ln(f/f'))²) (decision 0102).
+_BREAK_UP, _QUALITY = 0.2, 20.0
+# Directions with less of their variance than these are left out, of waves and of resonances; of
+# resonances they are errors. Chosen: a thousandth of a wave, and of resonances 1 %, the error of a
+# hologram.
+_LEAST_WAVE, _LEAST_RESONANT = 1e-6, 3e-3
 # Log frequency over which leaked light at a small-amplitude hologram spreads: the width of a mode
 # with a loss factor of 0.05.
 _NEAR = 0.05
 # Error of the log drive of one hologram at least, and of a weaker one more. Chosen: gains scatter
 # by half a per cent a step, and light follows them.
 _LEAST, _WEAK = 0.01, 0.02
+# Where a mode that is not identified may be, from its frequency, in widths. Chosen: seven places
+# within half of a width.
+_OFF_BY = np.linspace(-0.5, 0.5, 7)
 # Acoustic paths cancel to this gain at most. Chosen: 60 dB, more than walls let through.
 _LEAST_GAIN = 1e-3
 # Holograms over which sweeps may differ smoothly: 375 cents, a resonance of quality 5. At the ends
@@ -112,31 +120,58 @@ def excitation_group(
         )
         return bent
 
+    doubtful = _taken_for_drive(sweeps, hz)
     noise = np.diag(error**2) + fitted + leaked + _SMOOTH**2 * powers @ powers.T
+    waves, left = _loudspeaker(apart)
+    noise = noise + doubtful @ doubtful.T + left
     places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
     return observable_group(
-        "lines of the drive", Observable.DRIVE, log, Errors(noise, _waves(apart)), places,
+        "lines of the drive", Observable.DRIVE, log, Errors(noise, waves), places,
         ("drive",), predict,
     )  # fmt: skip
 
 
-def _waves(apart: Array) -> tuple[GroupNuisances, ...]:
-    """Return waves of a loudspeaker's response, for differences (n, n) of log frequency."""
-    return tuple(
-        GroupNuisances(
-            f"response over {length:g}",
-            spread * _columns(np.exp(-0.5 * (apart / length) ** 2)),
-            DISORDER,
-            "data sheets of tweeters",
+def _taken_for_drive(sweeps: Sequence[SweepReading], hz: Array) -> Array:
+    """Return columns (k, c) of errors of the log drive by modes that are not identified.
+
+    Any share of such a mode may be in the drive, at a frequency within half of its width. Errors
+    count in proportion to the sweeps in which it is not identified.
+    """
+    modes = np.concatenate([sweep.doubtful for sweep in sweeps])
+    own_hz = modes[:, 0] * np.exp(np.multiply.outer(_OFF_BY, modes[:, 1]))
+    response = 1 + 1j * modes[:, 1] - (hz[:, None, None] / own_hz) ** 2
+    weight = 1 / np.sqrt(len(sweeps) * len(_OFF_BY))
+    return np.asarray(-weight * np.log(np.abs(response)).reshape(len(hz), own_hz.size))
+
+
+def _loudspeaker(apart: Array) -> tuple[tuple[GroupNuisances, ...], Array]:
+    """Return waves and resonances of a loudspeaker, and what is left of these as errors (n, n).
+
+    Parameters
+    ----------
+    apart : (n, n) float
+        Differences of log frequency.
+    """
+    waves = _columns(np.exp(-0.5 * (apart / _WAVES[1]) ** 2), _LEAST_WAVE)
+    resonant = 1 / (1 + (_QUALITY * apart) ** 2)
+    most = _columns(resonant, _LEAST_RESONANT)
+    found = tuple(
+        GroupNuisances(name, columns, DISORDER, "data sheets of tweeters")
+        for name, columns in (
+            ("response of the loudspeaker", _WAVES[0] * waves),
+            ("resonances of the loudspeaker", _BREAK_UP * most),
         )
-        for spread, length in _WAVES
     )
+    return found, _BREAK_UP**2 * (resonant - most @ most.T)
 
 
-def _columns(covariance: Array) -> Array:
-    """Return columns (n, k) of independent amounts that have a smooth covariance (n, n)."""
+def _columns(covariance: Array, least: float) -> Array:
+    """Return columns (n, k) of independent amounts that have a covariance (n, n).
+
+    Directions with less than a share `least` of the greatest are left out.
+    """
     values, vectors = np.linalg.eigh(covariance)
-    kept = values > _LEAST_WAVE * values[-1]
+    kept = values > least * values[-1]
     columns: Array = vectors[:, kept] * np.sqrt(values[kept])
     return columns
 
@@ -291,11 +326,11 @@ def force_group(
     elastic = reed_solver.modes(elastic_reed(nominal))
     usual = _pushed(_pushes(reed_solver, closed, modes, elastic), 0.0)
     fields = log_forces(reed_solver, closed, modes, usual)
-    apart = np.log(hz)[:, None] - np.log(hz)
+    waves, left = _loudspeaker(np.log(hz)[:, None] - np.log(hz))
     errors = Errors(
-        np.diag(error**2 + _FIELD**2 + torn**2) + _GAIN**2,
+        np.diag(error**2 + _FIELD**2 + torn**2) + _GAIN**2 + left,
         (
-            *_waves(apart),
+            *waves,
             GroupNuisances(
                 "pressure on the reed", fields.columns, DISORDER, "chambers that a bench may have"
             ),

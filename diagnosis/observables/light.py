@@ -18,7 +18,8 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.observables.brightness import PIECES, columns_of, scatter_of, walk_columns
 from diagnosis.observables.carrier import Leaks, leaks_in
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.sweeps import TEMPLATES, SweepReading, at_highest_level
+from diagnosis.readings.sweeps import SweepReading, at_highest_level
+from diagnosis.readings.templates import TEMPLATES
 from holography.arrays import Array, ComplexArray
 from physics.mechanics import ReedSolver
 from physics.optics import log_laser_power

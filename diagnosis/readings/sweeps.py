@@ -7,13 +7,12 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1, jv
 
 from diagnosis.campaign import CampaignRun
+from diagnosis.readings.templates import templates
 from fitting.errors import FitError
 from fitting.forward import basis_of, finite_element_model
 from fitting.holograms.block_amplitudes import UnshiftedLight
-from fitting.holograms.displacement import explained_amplitudes
 from fitting.holograms.right_fringes.trials import SAME_FRINGE
 from fitting.modal.identify import JointFit, fit_jointly, series_of
 from fitting.modal.modal_fit import ModalFit
@@ -23,9 +22,6 @@ from holography.arrays import Array, ComplexArray
 from runs.reader import Run
 from runs.records import StepRecord
 
-# What may be in a hologram in addition to its sideband, by name.
-# The decoy is what the next sideband would be if phases turned the other way: no light does.
-TEMPLATES = ("carrier_leak", "sideband_crosstalk", "decorrelation", "decoy")
 # Beyond this frequency modes are too dense to be separated.
 _HIGHEST_HZ = 17e3
 # Modes so far away in log frequency count half as much or less.
@@ -52,6 +48,8 @@ class SweepReading:
     names : tuple of str
         Of the a identified modes.
     hz, loss_factor : (a,) float
+    doubtful : (d, 2) float
+        Frequency and loss factor of each mode of the fit that is not identified.
     stiffening : (a,) float
         Exponent by which stiffness grows with frequency, as the loss factors assume it. Only the
         loss factor over 2 less this exponent is seen (decision 0029).
@@ -105,6 +103,7 @@ class SweepReading:
     names: tuple[str, ...]
     hz: Array
     loss_factor: Array
+    doubtful: Array
     stiffening: Array
     covariance: Array
     force_rad: ComplexArray
@@ -349,7 +348,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
     at_own = np.interp(own, log_hz, np.log(np.abs(drive)))
     noise = np.array([step.noise_level for step in steps])
     moved = np.abs(found.amplitude_rad @ fitted.basis.functions.T)
-    template, variance = _templates(fitted)
+    template, variance = templates(fitted)
     # As modes have it: what all displacements are off together is taken off.
     u = modal.amplitude_rad @ fitted.basis.functions.T
     pixels = part.run.frame_shape[0] * part.run.frame_shape[1]
@@ -362,6 +361,7 @@ def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepRead
         names=names,
         hz=modal.hz[kept],
         loss_factor=modal.loss_factor[kept],
+        doubtful=np.stack([modal.hz, modal.loss_factor], axis=1)[_doubtful(fitted)],
         stiffening=fitted.basis.stiffening_of(names),
         covariance=modal.covariance[np.ix_(both, both)],
         force_rad=np.exp(at_own) * modal.by_pressure[kept],
@@ -413,6 +413,11 @@ def _kept(fitted: JointFit) -> NDArray[np.intp]:
     return np.array(kept, dtype=np.intp)
 
 
+def _doubtful(fitted: JointFit) -> NDArray[np.bool_]:
+    """Mask of the modes that are not identified."""
+    return np.array([name not in fitted.resonances for name in fitted.names], dtype=bool)
+
+
 def _common(modal: ModalFit, kept: NDArray[np.intp], log_hz: Array) -> Array:
     """Log (k,) of what participations do in common around each frequency."""
     own = np.log(modal.hz[kept])
@@ -425,68 +430,6 @@ def _common(modal: ModalFit, kept: NDArray[np.intp], log_hz: Array) -> Array:
 
 def _middle_s(step: StepRecord) -> float:
     return float(np.mean(step.timestamps_s))
-
-
-def _templates(fitted: JointFit) -> tuple[ComplexArray, Array]:
-    """Amplitudes (4, k) of what else may be in holograms, and their variances.
-
-    What the displacements' own freedoms can take up is left to them.
-    """
-    found, functions = fitted.displacements, fitted.basis.functions.astype(float)
-    u = found.amplitude_rad @ functions.T
-    size = np.abs(u)
-    unit = u / np.maximum(size, 1e-12)
-    lit = np.exp(found.gain)[:, None] * found.object_field
-    F, zero, two = unit * j1(size), j0(size), unit**2 * jv(2, size)
-    slope_along = 0.5 * (zero - jv(2, size))
-    slope_across = np.where(size > 1e-6, j1(size) / np.maximum(size, 1e-12), 0.5)
-    explained = explained_amplitudes(fitted.block_amplitudes, fitted.basis, found)
-    left = fitted.block_amplitudes.recorded.T - explained
-    bright = np.where(found.reached[:, None], np.abs(lit * F) ** 2, 0.0)
-    # Of contrast that is lost, the object field of each block takes up the mean of all holograms.
-    usual = np.sum(bright * size**2, axis=0) / np.maximum(np.sum(bright, axis=0), 1e-12)
-    waves = np.stack([zero, two, -(size**2 - usual) * F, two.conj()]) * lit
-    amplitude = np.zeros((len(TEMPLATES), len(u)), complex)
-    variance = np.full((len(TEMPLATES), len(u)), np.inf)
-    for k in np.flatnonzero(found.reached & np.any(found.amplitude_rad, axis=1)):
-        along, across = lit[k] * unit[k] * slope_along[k], 1j * lit[k] * unit[k] * slope_across[k]
-        by_real = along * unit[k].real - across * unit[k].imag
-        by_imaginary = along * unit[k].imag + across * unit[k].real
-        own = [by_real[:, None] * functions, by_imaginary[:, None] * functions]
-        columns = np.hstack([*own, np.stack([lit[k] * F[k], *waves[:, k], left[k]], axis=1)])
-        amplitude[:, k], variance[:, k] = _beside(_real(columns), 2 * functions.shape[1] + 1)
-    # Blocks that share noise know less than as many independent ones.
-    shared = variance / fitted.block_amplitudes.independent_fraction
-    return amplitude, shared * np.maximum(found.misfit, 1)
-
-
-def _beside(columns: Array, own: int) -> tuple[ComplexArray, Array]:
-    """Amplitudes (t,) of templates, and variances, in addition to a hologram's own parameters.
-
-    Parameters
-    ----------
-    columns : (2n, c) float
-        Real, then imaginary parts: of the freedoms, the templates, and what is left.
-    own : int
-        How many freedoms there are.
-    """
-    n = len(columns) // 2
-    turned = np.concatenate([-columns[n:, own:-1], columns[:n, own:-1]])
-    columns = np.hstack([columns, turned])
-    gram = columns.T @ columns
-    mine = gram[:own, :own] + 1e-9 * np.trace(gram[:own, :own]) / own * np.eye(own)
-    rest = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(mine, gram[:own, own:])
-    count = len(TEMPLATES)
-    which = [t for t in range(2 * count + 1) if t != count]
-    information = rest[np.ix_(which, which)]
-    found = np.linalg.solve(information, rest[which, count])
-    spread = 0.5 * np.diag(np.linalg.inv(information))
-    return found[:count] + 1j * found[count:], spread[:count] + spread[count:]
-
-
-def _real(columns: ComplexArray) -> Array:
-    """Real, then imaginary parts of rows: (n, …) → (2n, …)."""
-    return np.concatenate([columns.real, columns.imag], axis=0)
 
 
 def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:

@@ -147,7 +147,7 @@ ABLATIONS: Final = (
     ),
     Ablation(
         "the drive responds smoothly",
-        nuisances=frozenset({"response over 0.3", "response over 0.08"}),
+        nuisances=frozenset({"response of the loudspeaker", "resonances of the loudspeaker"}),
     ),
     Ablation(
         "reed and clamp are those of the drawing",

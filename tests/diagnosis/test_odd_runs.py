@@ -19,7 +19,7 @@ from diagnosis.readings.campaign_readings import _missing
 from diagnosis.readings.carrier import read_carriers
 from diagnosis.readings.reed_at_rest import read_rest_holograms
 from diagnosis.readings.step_log import read_step_log
-from diagnosis.readings.sweeps import TEMPLATES
+from diagnosis.readings.templates import TEMPLATES
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
 from physics.parameters.optics import Interference
@@ -61,6 +61,7 @@ def sweep(name="up", drive_hz=STEPS_HZ, volts=8.0, names=tuple(MODES), **changed
         "time_s": 1.0 + np.arange(count),
         "log_drive": 0.3 * np.log(drive_hz / 1e3),
         "log_drive_covariance": np.zeros((count, count)),
+        "doubtful": np.zeros((0, 2)),
         "amplitude_rad": np.full(count, 2.0),
         "deepest_rad": np.full(count, 3.0),
         "signal": np.log(volts * drive_hz) + 1e-3 * np.sin(np.arange(count)),

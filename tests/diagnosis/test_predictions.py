@@ -15,7 +15,7 @@ from diagnosis.observables.light import fringe_group, noise_group
 from diagnosis.observables.modes import _prediction
 from diagnosis.observables.reed_at_rest import phase_scatter_group, phase_turn_group
 from diagnosis.readings.step_log import StepLog
-from diagnosis.readings.sweeps import TEMPLATES
+from diagnosis.readings.templates import TEMPLATES
 from physics.parameters.chamber import Chamber, Filling
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.drive import AcousticResonance
@@ -132,6 +132,7 @@ def sweep(name="up", begun_s=0.0, length_s=0.0, volts=4.0, clamping=0, **own):
         "time_s": begun_s + np.linspace(0, length_s, count), "noise_dn2": np.full(count, 1600.0),
         "fringe_dn2": np.full(count, 1e4), "signal": np.log(volts) + np.zeros(count),
         "log_drive": np.zeros(count), "log_drive_covariance": np.zeros((count, count)),
+        "doubtful": np.zeros((0, 2)),
         "off": np.zeros(count, bool), "taken_off": 0.0,
         "deepest_rad": np.full(count, 3.0), "amplitude_rad": np.ones(count),
         "names": (), "hz": np.zeros(0), "loss_factor": np.zeros(0), "stiffening": np.zeros(0),
@@ -234,6 +235,25 @@ def test_what_fits_do_not_know_of_the_drive_is_an_error_of_its_lines() -> None:
     )
     # Both sweeps err together: the mean is no better than one.
     assert after - before == pytest.approx(doubt)
+
+
+def test_a_mode_that_is_not_identified_may_be_in_the_drive() -> None:
+    """Half of it is within the errors; a drive with a peak of the same height elsewhere is not."""
+    hz, loss = np.geomspace(1e3, 1e4, 160), 0.03
+
+    def peak(at_hz: float) -> np.ndarray:
+        return -0.5 * np.log(np.abs(1 + 1j * loss - (hz / at_hz) ** 2))
+
+    def distance(at_hz: float, doubtful: np.ndarray) -> float:
+        sweeps = [sweep(doubtful=doubtful), sweep("down", doubtful=doubtful)]
+        noise = excitation_group(sweeps, BenchParameters(), Leaks({}, 0.0)).errors.noise
+        return float(peak(at_hz) @ np.linalg.solve(noise, peak(at_hz)))
+
+    none, mode = np.zeros((0, 2)), np.array([[3000.0, loss]])
+    assert distance(3000.0, none) > 30
+    assert distance(3000.0, mode) < 1
+    assert distance(3000.0 * (1 + 0.3 * loss), mode) < 2
+    assert distance(6000.0, mode) > 0.8 * distance(6000.0, none)
 
 
 def test_a_hologram_that_is_off_in_one_sweep_has_the_error_of_the_others() -> None:

@@ -9,7 +9,9 @@ import pytest
 from scipy.special import j1
 
 from diagnosis.readings import sweeps as sweep_readings
-from diagnosis.readings.sweeps import TEMPLATES, _log_light, _templates
+from diagnosis.readings import templates as template_readings
+from diagnosis.readings.sweeps import _log_light
+from diagnosis.readings.templates import TEMPLATES, templates
 from fitting.errors import FitError
 
 VOLTS = {"up": 8.0, "down": 8.0, "quiet": 2.0, "again": 8.0}
@@ -136,15 +138,15 @@ def test_contrast_that_the_object_field_takes_up_is_not_missed(monkeypatch) -> N
         basis=SimpleNamespace(functions=functions),
         block_amplitudes=SimpleNamespace(recorded=(fringes + left).T, independent_fraction=1.0),
     )  # fmt: skip
-    monkeypatch.setattr(sweep_readings, "explained_amplitudes", lambda *_: fringes)
-    template, variance = _templates(fitted)
+    monkeypatch.setattr(template_readings, "explained_amplitudes", lambda *_: fringes)
+    template, variance = templates(fitted)
     weight = 1 / variance[TEMPLATES.index("decorrelation")]
     found = np.sum(weight * template[TEMPLATES.index("decorrelation")].real) / np.sum(weight)
     # What displacements and gains take up is not of the same size in every hologram.
     assert found == pytest.approx(loss, rel=0.05)
     # Blocks that share noise know less.
     fitted.block_amplitudes.independent_fraction = 0.5
-    assert _templates(fitted)[1] == pytest.approx(2 * variance)
+    assert templates(fitted)[1] == pytest.approx(2 * variance)
 
 
 @pytest.mark.parametrize("still", [True, False])

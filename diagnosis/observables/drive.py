@@ -105,7 +105,8 @@ def excitation_group(
     if len(hz) <= _DEGREE + 1:
         return None
     loud = loudest(sweeps)[0]
-    volts = np.interp(hz, loud.drive_hz, loud.volts)
+    # Of each sweep: the mean drive is that of the middle level.
+    volts = np.stack([np.interp(hz, sweep.drive_hz, sweep.volts) for sweep in sweeps])
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
     powers = np.polynomial.chebyshev.chebvander(pitch / np.abs(pitch).max(), _DEGREE)
     apart = pitch[:, None] - pitch
@@ -115,9 +116,8 @@ def excitation_group(
     error = np.hypot(error, _WEAK / _gain(nominal.drive, hz))
 
     def predict(parameters: BenchParameters) -> Array:
-        bent: Array = np.log(
-            _gain(parameters.drive, hz) * kept_by_tweeter(parameters.drive, volts, hz)
-        )
+        kept = np.median(np.log(kept_by_tweeter(parameters.drive, volts, hz)), axis=0)
+        bent: Array = np.log(_gain(parameters.drive, hz)) + kept
         return bent
 
     doubtful = _taken_for_drive(sweeps, hz)

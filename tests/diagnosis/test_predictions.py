@@ -224,6 +224,17 @@ def test_a_line_stands_out_of_the_drive_where_it_is() -> None:
     assert change[at_line] == pytest.approx(expected)
 
 
+def test_the_mean_drive_is_that_of_the_levels_it_is_a_mean_of() -> None:
+    """A tweeter that compresses at 16 V, and not at 1 V."""
+    hz, most = 1000.0, 16.0
+    lost = np.log(1 - 0.5 / (1 + (hz / 5000.0) ** 2) * (most / 16.0) ** 2)
+    for volts, share in (((most, 1.0), 0.5), ((most, most, most, 1.0), 1.0)):
+        sweeps = [sweep(f"{number}", volts=v) for number, v in enumerate(volts)]
+        block = excitation_group(sweeps, BenchParameters(), Leaks({}, 0.0))
+        change = moved(block, drive={"compression": 0.5})
+        assert change[0] == pytest.approx(share * lost, rel=0.02)
+
+
 def test_what_fits_do_not_know_of_the_drive_is_an_error_of_its_lines() -> None:
     doubt = np.zeros((160, 160))
     doubt[90:93, 90:93] = 0.3**2

@@ -69,6 +69,14 @@ def test_locks_miss_by_what_modulators_are_ahead_and_generators_behind(beat) -> 
     )
 
 
+def test_all_locks_may_be_off_by_the_camera_s_clock(beat) -> None:
+    """A camera 100 ppm fast turns a quarter turn per frame, 3.1 Hz, by 0.31 mHz."""
+    many = replace(beat, error_hz=np.full(40, 1e-7))
+    noise = lock_group(many, 12.4).errors.noise
+    assert noise[0, 1] == pytest.approx(3.1e-4**2)
+    assert noise[0, 0] == pytest.approx(3.1e-4**2, rel=1e-3)
+
+
 def test_frames_lost_are_counted_on_a_scale_of_even_scatter(beat) -> None:
     # Four of a hundred.
     expected = 2 * (np.sqrt(4 + 3 / 8) - np.sqrt(3 / 8))

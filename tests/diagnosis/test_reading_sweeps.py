@@ -10,7 +10,7 @@ from scipy.special import j1
 
 from diagnosis.readings import sweeps as sweep_readings
 from diagnosis.readings import templates as template_readings
-from diagnosis.readings.sweeps import _log_light
+from diagnosis.readings.sweeps import _doubtful, _log_light
 from diagnosis.readings.templates import TEMPLATES, templates
 from fitting.errors import FitError
 
@@ -167,3 +167,10 @@ def test_light_is_that_of_all_pixels_whatever_noise_blocks_have(still):
     expected = 0.5 * np.log(4.0 * np.mean((light * moved) ** 2, axis=1))
     assert _log_light(fit(np.ones(40)), level, moved) == pytest.approx(expected)
     assert _log_light(fit(noise), level, moved) == pytest.approx(expected)
+
+
+def test_modes_that_are_not_identified_are_doubtful() -> None:
+    fitted = SimpleNamespace(names=("F1", "T1", "X4"), resonances={"F1": None, "X4": None})
+    assert _doubtful(fitted).tolist() == [False, True, False]
+    nothing = SimpleNamespace(names=(), resonances={})
+    assert _doubtful(nothing).tolist() == []

@@ -121,6 +121,21 @@ def test_slopes_are_those_of_differences(reeds):
         assert own[:, :12] == pytest.approx(found[:, :12], rel=0.05, abs=2e-3)
 
 
+@pytest.mark.parametrize("name", ["e1", "clamp_compliance", "bed_shear"])
+def test_what_acts_exactly_has_the_derivative_of_reeds_that_are_solved_again(reeds, name):
+    """Of cane and clamp: a reed near one, to first order, is the one that is set up there."""
+    parameters, step = drawn(reeds, 2), 1e-3
+    own, number = reeds.near(parameters), reeds.names.index(name)
+    ends = []
+    for side in (-1, 1):
+        moved = parameters.copy()
+        moved[number] += side * step
+        ends.append(np.log(reeds.near(moved).modes(moved)[0][:12]))
+    slope = (ends[1] - ends[0]) / (2 * step)
+    assert np.abs(slope).max() > 1e-3
+    assert own.slopes(parameters)[0][:12, number] == pytest.approx(slope, rel=0.02, abs=3e-5)
+
+
 def test_a_shift_moves_a_mode_that_no_other_is_close_to(reeds):
     parameters = np.zeros(len(reeds.names))
     nearby = reeds.near(parameters)

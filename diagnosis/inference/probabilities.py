@@ -131,7 +131,7 @@ def unseen_share(evidence: Evidence) -> float:
     """
     null = evidence.null.log_evidence
     alone = [one for one in evidence.candidates.values() if len(one.effects) == 1]
-    hidden = [min(1.0, float(np.exp(one.log_hidden - null))) for one in alone]
+    hidden = [float(np.exp(min(0.0, one.log_hidden - null))) for one in alone]
     return (len(evidence.unseen) + sum(hidden) + 1) / (len(evidence.unseen) + len(alone) + 2)
 
 

@@ -52,8 +52,8 @@ _MOST_STEPS = 40
 # A reed whose own shifts are larger than this multiple of the least is looked for from elsewhere,
 # too. Chosen: a model leaves some cents, and modes that are mistaken for others tens of them.
 _USUAL_SHIFTS = 2.0
-# ... in clamps that yield by so many standard deviations less or more. Chosen: there X1 and L1 are
-# on either side of their crossing.
+# ... in clamps that yield by this many standard deviations less or more. Chosen: there X1 and L1
+# are on either side of their crossing.
 _OTHER_CLAMPS = (-1.5, 1.5)
 # Start of the search for a reed in which two modes have exchanged their characters, as a fraction
 # of the exchange: just beyond the crossing.

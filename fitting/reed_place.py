@@ -1,14 +1,15 @@
 """Measure where a reed lies in the image: by the edges of its light.
 
-A hand sets a reed into its clamp, and a tilt of the reference beam moves the image. The coordinates
-of the image are therefore not those of the reed: a shift of 0.1 mm changes the displacements of
-some modes at the tip by per cents.
+A hand sets a reed into its clamp, and a tilt of the reference beam moves the image. A distance or a
+wavelength that is not quite that of the bench file makes it larger. The coordinates of the image
+are therefore not those of the reed: a shift of 0.1 mm changes the displacements of some modes at
+the tip by per cents.
 
 The image of a rough surface is speckle: the power of a pixel has an exponential distribution (J. W.
 Goodman, Speckle Phenomena in Optics, 2007, section 3.2.1). Its mean is the brightness, which
 changes little from pixel to pixel, times the fraction of the pixel's light that comes from the
-reed. This fraction falls from 1 to 0 across the edge. Place, brightness and darkness are found
-together.
+reed. This fraction falls from 1 to 0 across the edge. Place, size, brightness and darkness are
+found together.
 """
 
 from collections.abc import Sequence
@@ -29,8 +30,10 @@ from runs.records import StepRecord
 # Standard deviations before the light is looked at. Chosen: a hand sets reeds on to some tenths of
 # a millimetre; 10 mrad are 0.35 mm at the end of the vamp.
 _SHIFT_M, _TURN_RAD = 0.5e-3, 10e-3
-# ... of the width of reeds of one kind. Chosen: mouthpieces are as wide as reeds within this.
-_WIDTH_M = 0.1e-3
+# ... of the size of the image: a tape measures a metre to a centimetre, and laser diodes of one
+# type differ by 10 nm (data sheets). Reeds of one kind are as wide within 0.1 mm of 13, which is
+# less: if one looks wider, its image is taken to be larger.
+_SIZE = 0.018
 # Light this far on both sides of the edge is looked at, but none near the clamp, where the reed
 # hardly moves. Chosen: four standard deviations of the place, and as many speckles as the edge
 # needs to know how bright it is.
@@ -52,10 +55,10 @@ _REACH = 30
 _ITERATIONS, _LEAST_GAIN = 60, 1e-3
 # Largest logarithm of a brightness, against overflow far from the solution.
 _MOST_LOG = 50.0
-# Precision with which place and width are held where they are: to a thousandth of their priors.
+# Precision with which place and size are held where they are: to a thousandth of their priors.
 _HELD = 1e6
-# Unknowns that are no coefficients of the brightness: along, across, turn, width, darkness.
-_PLACE, _DARKNESS = slice(0, 3), 4
+# Unknowns that are no coefficients of the brightness: along, across, turn, size, darkness.
+_PLACE, _DARKNESS = slice(0, 4), 4
 _UNKNOWNS = 5
 # Chosen: they decide how long the search takes, and not where it ends.
 _DAMPING = Damping(first=1e-3, after_gain=0.3, after_loss=4.0, constant=1e-9)
@@ -71,38 +74,44 @@ class ReedPlace:
         Coordinates of the middle of its tip in the image.
     turn_rad : float
         Its turn, from x towards y.
-    covariance : (3, 3) float
-        Of these three numbers.
+    larger : float
+        Size of the image over that of the reed, less 1.
+    covariance : (4, 4) float
+        Of these four numbers.
     """
 
     along_m: float
     across_m: float
     turn_rad: float
+    larger: float
     covariance: Array
 
     @property
     def error(self) -> Array:
-        """Standard errors (3,) of the two coordinates and of the turn."""
+        """Standard errors (4,) of the two coordinates, of the turn and of the size."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def on_reed(self, x_m: Array, y_m: Array) -> Array:
         """Return the coordinates (2, ...) on the reed of points of the image."""
         right, up = x_m - self.along_m, y_m - self.across_m
-        return np.stack([right + self.turn_rad * up, up - self.turn_rad * right])
+        turned = np.stack([right + self.turn_rad * up, up - self.turn_rad * right])
+        return np.asarray(turned / (1 + self.larger))
 
 
 def nominal_place() -> ReedPlace:
     """Return the place at which coordinates of the image are those of the reed, surely."""
-    return ReedPlace(0.0, 0.0, 0.0, np.zeros((3, 3)))
+    return ReedPlace(0.0, 0.0, 0.0, 0.0, np.zeros((4, 4)))
 
 
 def moves(x_m: Array, y_m: Array) -> Array:
-    """Return derivatives (2, ..., 3) of coordinates on the reed by the place of the reed.
+    """Return derivatives (2, ..., 4) of coordinates on the reed by the place of the reed.
 
-    They are those of a point of the image that lies at x_m and y_m on the reed.
+    They are those of a point of the image that lies at x_m and y_m on the reed, for an image of the
+    size of the reed.
     """
     one, none = np.ones_like(x_m), np.zeros_like(x_m)
-    return np.stack([np.stack([-one, none, y_m], -1), np.stack([none, -one, -x_m], -1)])
+    along, across = [-one, none, y_m, -x_m], [none, -one, -x_m, -y_m]
+    return np.stack([np.stack(along, -1), np.stack(across, -1)])
 
 
 def reed_place(run: Run, steps: Sequence[StepRecord]) -> ReedPlace:
@@ -225,8 +234,8 @@ class _Pixels:
 
     @property
     def deviations(self) -> Array:
-        """Standard deviations (4,) of the place and of the relative width."""
-        return np.array([_SHIFT_M, _SHIFT_M, _TURN_RAD, _WIDTH_M / np.abs(self.y_m).max()])
+        """Standard deviations (4,) of the place and of the size."""
+        return np.array([_SHIFT_M, _SHIFT_M, _TURN_RAD, _SIZE])
 
     def brightness_terms(self) -> Array:
         """Return the terms (p, c) of the logarithm of the brightness, at the nominal place."""
@@ -237,22 +246,21 @@ class _Pixels:
     def mean(self, unknowns: Array, terms: Array) -> tuple[Array, Array]:
         """Return the expected power (p,), and derivatives (p, u) of its logarithm.
 
-        Unknowns are the place and the relative width, in their standard deviations, the logarithm
-        of the darkness, and the coefficients of `terms`.
+        Unknowns are the place and the size, in their standard deviations, the logarithm of the
+        darkness, and the coefficients of `terms`.
         """
-        along, across, turn, wider = self.deviations * unknowns[:_DARKNESS]
-        x_m, y_m = ReedPlace(along, across, turn, np.zeros((3, 3))).on_reed(self.x_m, self.y_m)
-        narrower = 1 - wider
-        share, by_x, by_y = self.light.at(x_m, narrower * y_m)
+        along, across, turn, larger = (self.deviations * unknowns[_PLACE]).tolist()
+        found = ReedPlace(along, across, turn, larger, np.zeros((4, 4)))
+        x_m, y_m = found.on_reed(self.x_m, self.y_m)
+        share, by_x, by_y = self.light.at(x_m, y_m)
         bright = np.exp(np.clip(terms @ unknowns[_UNKNOWNS:], -_MOST_LOG, _MOST_LOG))
         reed, dark = bright * share, np.exp(unknowns[_DARKNESS])
         moved_x, moved_y = moves(x_m, y_m)
-        by_place = by_x[:, None] * moved_x + narrower * by_y[:, None] * moved_y
+        by_place = by_x[:, None] * moved_x + by_y[:, None] * moved_y
         mean = reed + dark
         derivatives = np.concatenate(
             [
-                bright[:, None] * by_place * self.deviations[:3],
-                -(bright * by_y * y_m)[:, None] * self.deviations[3],
+                bright[:, None] * by_place * self.deviations,
                 np.full((len(mean), 1), dark),
                 reed[:, None] * terms,
             ],
@@ -274,14 +282,14 @@ def _likeliest(pixels: _Pixels) -> ReedPlace:
     matrix[np.arange(_DARKNESS), np.arange(_DARKNESS)] += 1.0
     # Light that the model does not describe scatters by more than speckle does.
     scatter = max(1.0, float(np.mean((pixels.power / mean - 1) ** 2)))
-    unit = pixels.deviations[_PLACE]
+    unit = pixels.deviations
     covariance = scatter * np.linalg.inv(matrix)[_PLACE, _PLACE] * np.outer(unit, unit)
-    along_m, across_m, turn_rad = (found[_PLACE] * unit).tolist()
-    return ReedPlace(along_m, across_m, turn_rad, covariance)
+    along_m, across_m, turn_rad, larger = (found[_PLACE] * unit).tolist()
+    return ReedPlace(along_m, across_m, turn_rad, larger, covariance)
 
 
 def _minimum(pixels: _Pixels, terms: Array, start: Array, held: float) -> Array:
-    """Return the likeliest unknowns (u,), where place and width have this precision."""
+    """Return the likeliest unknowns (u,), where place and size have this precision."""
     precision = np.zeros(len(start))
     precision[:_DARKNESS] = held
 

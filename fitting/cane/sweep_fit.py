@@ -137,7 +137,7 @@ def _place_of(sweep: SweepFit) -> dict[str, float] | None:
     if sweep.joint is None:
         return None
     place = sweep.joint.block_amplitudes.place
-    along, across, turn = (1e3 * place.error).tolist()
+    along, across, turn, larger = (1e3 * place.error).tolist()
     return {
         "along_mm": 1e3 * place.along_m,
         "along_error_mm": along,
@@ -145,6 +145,8 @@ def _place_of(sweep: SweepFit) -> dict[str, float] | None:
         "across_error_mm": across,
         "turn_mrad": 1e3 * place.turn_rad,
         "turn_error_mrad": turn,
+        "larger_percent": 100 * place.larger,
+        "larger_error_percent": 0.1 * larger,
     }
 
 

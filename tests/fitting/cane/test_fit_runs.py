@@ -164,12 +164,13 @@ def test_json_has_the_documented_keys(fitted, sweep_a):
 
 
 def test_the_place_of_the_reed_is_stated_with_its_errors(sweep):
-    place = ReedPlace(1e-4, -2e-4, 3e-3, np.diag(np.square([1e-5, 2e-5, 1e-3])))
+    place = ReedPlace(1e-4, -2e-4, 3e-3, 4e-3, np.diag(np.square([1e-5, 2e-5, 1e-3, 2e-3])))
     joint = SimpleNamespace(block_amplitudes=SimpleNamespace(place=place))
     assert _place_of(replace(sweep, joint=joint)) == pytest.approx(
         {
             "along_mm": 0.1, "along_error_mm": 0.01, "across_mm": -0.2, "across_error_mm": 0.02,
             "turn_mrad": 3.0, "turn_error_mrad": 1.0,
+            "larger_percent": 0.4, "larger_error_percent": 0.2,
         }
     )  # fmt: skip
 

@@ -61,8 +61,19 @@ def mode_names(
             name = f"T{k}"
         else:
             name = _GENERIC.get((k, n), f"({k},{n})")
-        names.append(name if name not in names else f"{name}?{m}")
-    return names
+        names.append(name)
+    kept = {name: _bearer(name, names, heel) for name in names}
+    return [name if kept[name] == m else f"{name}?{m}" for m, name in enumerate(names)]
+
+
+def _bearer(name: str, names: list[str], heel: NDArray[np.float64]) -> int:
+    """Return which of the modes with a name keeps it.
+
+    Flexure of the vamp and of the heel mix where they are close: F(n+1) is the mode whose heel
+    moves less. Other names count from low frequencies on.
+    """
+    bearers = [m for m, each in enumerate(names) if each == name]
+    return min(bearers, key=lambda m: heel[m]) if name.startswith("F") else bearers[0]
 
 
 def _sign_changes(profile: NDArray[np.float64]) -> int:

@@ -10,12 +10,13 @@ from studies.second_laboratory.air import DENSITY, SOUND, air_mass, panels_of
 from studies.second_laboratory.cane import Cane
 from studies.second_laboratory.convergence import frequencies_hz
 from studies.second_laboratory.elements import Solid
+from studies.second_laboratory.naming import mode_names
 from studies.second_laboratory.parameters import (
     Clamp,
     Thickness,
 )
 from studies.second_laboratory.reed import Reed, lowest_modes
-from studies.second_laboratory.shape import Fineness, PlanMesh
+from studies.second_laboratory.shape import STRIP_FRONT, Fineness, PlanMesh
 
 # Few elements: what is tested here does not depend on their number.
 COARSE = Fineness(5.0, 2.0, 0.4, 5.0, 2, 3, (0.0, 0.8, 1.0), 2, 3)
@@ -81,6 +82,20 @@ def test_names_and_air_of_the_mean_reed_are_those_of_the_paper(reed):
     found = {pole.name: pole.frequency_hz for pole in reed.poles}
     for name, hz in mean_hz.items():
         assert found[name] == pytest.approx(hz, rel=0.05)
+
+
+def test_of_two_modes_with_one_name_the_vamp_has_it_or_the_lower():
+    along, across = np.linspace(0, 67.5, 60), np.linspace(-1, 1, 9)
+    vamp = (along < STRIP_FRONT)[:, None]
+
+    def mode(across_it, heel):
+        bends = np.cos(3.4 * np.pi * along / STRIP_FRONT)[:, None]
+        return np.where(vamp, bends, heel) * across_it
+
+    even, odd = np.ones_like(across), across
+    shapes = [mode(even, 0.3), mode(even, 0.2), mode(odd, 0.3), mode(odd, 0.2), mode(even, 2.0)]
+    names = mode_names(np.stack(shapes, axis=-1), along, across, np.zeros(5))
+    assert names == ["F4?0", "F4", "X4", "X4?3", "H1"]
 
 
 def test_added_mass_of_a_disc_and_its_radiation():

@@ -156,6 +156,7 @@ def test_few_times_have_no_order() -> None:
     assert not clocks.too_small
 
 
+@pytest.mark.slow
 def test_a_bench_that_scatters_more_is_no_reason_for_an_alarm() -> None:
     """Clocks are read in six sweeps and scatter three times as much as their errors say."""
     alarms, inflated = 0, 0

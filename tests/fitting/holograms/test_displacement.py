@@ -407,7 +407,10 @@ def test_a_hologram_of_something_else_spoils_no_other(sweep, spoilt, settled):
     assert (spoilt.misfit[others] < 1.2 * settled.misfit[others]).all()
 
 
-@pytest.mark.parametrize("seed", [0, 2, 6])
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(0, marks=pytest.mark.slow), 2, pytest.param(6, marks=pytest.mark.slow)],
+)
 def test_a_sweep_may_begin_with_fringes(seed):
     sweep = planted(seed, calm_rad=300.0)
     assert largest_rad(sweep).min() > 6

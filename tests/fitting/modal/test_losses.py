@@ -234,7 +234,14 @@ def out_of_phase(seed, cause=0, turn=0.0, mode_hz=MODE_HZ):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("seed", "cause"), [(2, 0), (3, 0), (2, 1)])
+@pytest.mark.parametrize(
+    ("seed", "cause"),
+    [
+        (3, 0),
+        pytest.param(2, 0, marks=pytest.mark.slow),
+        pytest.param(2, 1, marks=pytest.mark.slow),
+    ],
+)
 def test_losses_are_right_where_modes_are_out_of_phase(seed, cause):
     sweep = out_of_phase(seed, cause)
     real = replace(sweep, basis=replace(sweep.basis, shares=np.zeros((2, 6, 6))))
@@ -374,7 +381,9 @@ def with_sound(seed, share):
     return replace(sweep, loss=loss, displacements=displacements, basis=basis)
 
 
-@pytest.mark.parametrize(("seed", "share"), [(2, 1.0), (3, 0.6)])
+@pytest.mark.parametrize(
+    ("seed", "share"), [pytest.param(2, 1.0, marks=pytest.mark.slow), (3, 0.6)]
+)
 def test_modes_are_right_where_they_send_each_other_sound(seed, share):
     sweep = with_sound(seed, share)
     silent = replace(sweep, basis=replace(sweep.basis, sound=np.zeros_like(sweep.basis.sound)))

@@ -57,7 +57,12 @@ def test_modes_of_a_plausible_reed_have_their_names(reeds, visible, planted, see
 
 
 @pytest.mark.parametrize(
-    ("seed", "e1", "e2", "e3"), [(0, -2.3, 0.6, 1.6), (5, -0.1, 2.5, 4.0), (23, -2.0, -0.7, 2.6)]
+    ("seed", "e1", "e2", "e3"),
+    [
+        (0, -2.3, 0.6, 1.6),
+        pytest.param(5, -0.1, 2.5, 4.0, marks=pytest.mark.slow),
+        pytest.param(23, -2.0, -0.7, 2.6, marks=pytest.mark.slow),
+    ],
 )
 def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed, e1, e2, e3):
     """Some modes have another order there than in the middle of the population."""
@@ -79,7 +84,16 @@ def test_modes_of_an_unusual_reed_have_their_names(reeds, visible, planted, seed
     assert best.shift_cents < 2 * SHIFT_CENTS[0]
 
 
-@pytest.mark.parametrize("off", [-1e-7, -1e-9, 0.0, 1e-9, 1e-7])
+@pytest.mark.parametrize(
+    "off",
+    [
+        pytest.param(-1e-7, marks=pytest.mark.slow),
+        -1e-9,
+        pytest.param(0.0, marks=pytest.mark.slow),
+        pytest.param(1e-9, marks=pytest.mark.slow),
+        1e-7,
+    ],
+)
 def test_a_mode_that_a_search_has_left_out_is_looked_for_again(reeds, visible, planted, off):
     """What rounding decides on the way does not decide whether X2 is found."""
     sweep = planted(MEASURED, 23, e1=-2.0, e2=-0.7, e3=2.6)

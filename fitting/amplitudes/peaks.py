@@ -170,7 +170,7 @@ def mode_amplitudes(
 
 
 def _by_place(points: VampPoints, point: int, amplitude: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Return derivatives (3,) of the displacement at a point by the place of the reed.
+    """Return derivatives (4,) of the displacement at a point by the place of the reed.
 
     Amplitudes (j,) of the functions are fitted where the reed is taken to lie. If it lies
     elsewhere, they give the displacement of another point of it.

@@ -107,13 +107,14 @@ def test_light_that_may_be_brighter_adds_to_the_error():
 
 
 def test_the_error_of_the_place_adds_to_the_error():
-    """Along 0.01 mm, across 0.02 mm and a turn of 1 mrad, at a point at y = 5 mm."""
+    """Along 0.01 mm, across 0.02 mm, a turn of 1 mrad, a size of 0.2 %, at x = 0, y = 5 mm."""
     fit = planted(np.array([[3.0j, 0.0]]), 1e-6)
-    errors = 0.01e-3, 0.02e-3, 1e-3, 0.0
+    errors = 0.01e-3, 0.02e-3, 1e-3, 2e-3
     fit.block_amplitudes.place = ReedPlace(0, 0, 0, 0, np.diag(np.square(errors)))
     peaks = peak_amplitudes(fit, POINTS, WAVELENGTH_M)
-    # Per millimetre it changes by 10 % and 20 %; the turn moves the point by 5 µm along x.
-    parts = 0.01 * 0.1, 0.02 * 0.2, 0.005 * 0.1, 1e-3
+    # Per millimetre it changes by 10 % and 20 %; the turn moves the point by 5 µm along x, and the
+    # size by 10 µm along y.
+    parts = 0.01 * 0.1, 0.02 * 0.2, 0.005 * 0.1, 0.01 * 0.2, 1e-3
     assert peaks.error_nm == pytest.approx(np.linalg.norm(parts) * peaks.nm, rel=1e-6)
     fit.block_amplitudes.drive_hz, fit.block_amplitudes.volts = np.array([2e3]), np.array([2.0])
     fit.names = ("F1",)

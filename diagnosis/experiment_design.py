@@ -182,7 +182,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
             _part("dark2", "cover the camera", change=_frames("dark", 64)),
             _part(
                 "flat2",
-                "block both beams, and light the camera evenly with a lamp",
+                "uncover the camera, block both beams, and light it evenly with a lamp",
                 change=_frames("flat", 16, _LADDER),
             ),
             _part(

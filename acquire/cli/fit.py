@@ -38,9 +38,9 @@ def acoustics(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find the acoustic resonances of the bench: lines that the runs of several reeds share.
+    """Find the acoustic resonances of the bench: excitation peaks that runs of several reeds share.
 
-    A line that most of three or more reeds show at the same frequency belongs to the loudspeaker,
+    A peak that most of three or more reeds show at the same frequency belongs to the loudspeaker,
     the chamber or the air. Each run is fitted first, in some seconds.
     """
     import acquire

@@ -34,7 +34,11 @@ from diagnosis.inference.model_selection import (
     refit_candidate,
     select_model,
 )
-from diagnosis.inference.nuisances import NUISANCES, USUAL_COMPLIANCE_M_PA
+from diagnosis.inference.nuisances import (
+    NUISANCES,
+    USUAL_COMPLIANCE_M_PA,
+    of_further_resonances,
+)
 from diagnosis.inference.null_starts import starts_without_effects
 from diagnosis.inference.predictive_checks import PredictiveCheck, predictive_checks
 from diagnosis.inference.probabilities import NONE, UNKNOWN
@@ -324,7 +328,8 @@ def inference_problem(
     No clamp is rigid: the nominal one yields as an ordinary clamp does.
     """
     clamped = with_alteration(base, YieldingClamp(), USUAL_COMPLIANCE_M_PA)
-    return InferenceProblem(observable_groups(readings, reed_solver), clamped, NUISANCES, known)
+    nuisances = (*NUISANCES, *of_further_resonances(base.drive))
+    return InferenceProblem(observable_groups(readings, reed_solver), clamped, nuisances, known)
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:

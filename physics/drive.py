@@ -32,9 +32,9 @@ def resonance_gain(resonance: AcousticResonance, hz: Array | float) -> ComplexAr
 
 def acoustic_gain(drive: Drive, hz: Array | float) -> ComplexArray:
     """Return the ratio of the pressures at the reed's tip and at the tweeter."""
-    paths = resonance_gain(drive.acoustic_resonance, hz) * resonance_gain(
-        drive.second_resonance, hz
-    )
+    paths = np.ones(np.shape(hz), dtype=complex)
+    for line in (drive.acoustic_resonance, *drive.further_resonances, drive.second_resonance):
+        paths = paths * resonance_gain(line, hz)
     return paths + complex(drive.bypass_real, drive.bypass_imaginary)
 
 

@@ -50,17 +50,24 @@ def nominal_parameters(
     series : str
         Reeds of series B are dried; the cane is the mean of the population of that series.
     resonances_hz : tuple of float
-        Acoustic resonances that the bench file lists; the first one is modelled.
+        Acoustic resonances that the bench file lists.
     """
     kind = Series.B if series == Series.B else Series.A
-    line = AcousticResonance(frequency_hz=resonances_hz[0]) if resonances_hz else None
     return BenchParameters(
-        drive=Drive(acoustic_resonance=line) if line else Drive(),
+        drive=_drive(resonances_hz),
         chamber=chamber_of(geometry, Filling(chamber)),
         reed=Mechanics(cane=viscoelastic_cane(Components(), kind)),
         optics=Optics(layout=layout),
         sensor=sensor,
     )
+
+
+def _drive(resonances_hz: tuple[float, ...]) -> Drive:
+    """Return a drive with the acoustic resonances that a bench file lists, and with no other."""
+    if not resonances_hz:
+        return Drive(acoustic_resonance=AcousticResonance(strength=0.0))
+    first, *others = (AcousticResonance(frequency_hz=hz) for hz in resonances_hz)
+    return Drive(acoustic_resonance=first, further_resonances=tuple(others))
 
 
 def sensor_of_camera(camera: CameraSensor) -> Sensor:

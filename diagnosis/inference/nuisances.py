@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from holography.arrays import Array
 from physics.alterations import BED_SHEAR_SPREAD, Layer, RandomLayer, YieldingClamp
 from physics.effects.changes import changed
 from physics.parameters.disorder import BY_NAME
+from physics.parameters.drive import Drive
 from physics.parameters.tree import (
     BenchParameters,
     more,
@@ -158,8 +159,9 @@ def _variances(half: float) -> Array:
     return variances
 
 
-def _resonance(name: str, field: str, spread: float, source: str) -> Nuisance:
-    """Return the logarithm of the factor on a property of the known acoustic resonance."""
+def _resonance(field: str, spread: float, source: str) -> Nuisance:
+    """Return the logarithm of the factor on a property of the first listed resonance."""
+    name = f"resonance {_WORDS[field]}"
     change = changed("drive.acoustic_resonance", scale={field: name})
     return Nuisance(
         name,
@@ -169,6 +171,26 @@ def _resonance(name: str, field: str, spread: float, source: str) -> Nuisance:
         source,
         "known resonance",
     )
+
+
+def of_further_resonances(drive: Drive) -> tuple[Nuisance, ...]:
+    """Return the nuisances of all acoustic resonances that a bench lists, but for the first."""
+    return tuple(
+        _further(number, field, spread, source)
+        for number in range(len(drive.further_resonances))
+        for field, (spread, source) in _RESONANCE.items()
+    )
+
+
+def _further(number: int, field: str, spread: float, source: str) -> Nuisance:
+    def change(parameters: BenchParameters, value: float) -> BenchParameters:
+        lines = list(parameters.drive.further_resonances)
+        grown = getattr(lines[number], field) * math.exp(value)
+        lines[number] = replace(lines[number], **{field: grown})
+        return with_part(parameters, "drive", further_resonances=tuple(lines))
+
+    name = f"resonance {number + 2} {_WORDS[field]}"
+    return Nuisance(name, "", spread, change, source, "known resonance")
 
 
 def _bypass(name: str, field: str) -> Nuisance:
@@ -232,6 +254,12 @@ _LISTED = (
     "a bench file lists the frequency only; cavities have qualities of 3 to 100, and amplify by "
     "3 to 12 dB"
 )
+_RESONANCE: Final = {
+    "strength": (0.9, _LISTED),
+    "quality": (0.9, _LISTED),
+    "frequency_hz": (0.004, "speed of sound within 2 degrees"),
+}
+_WORDS: Final = {"strength": "strength", "quality": "quality", "frequency_hz": "frequency"}
 NUISANCES: Final[tuple[Nuisance, ...]] = (
     *map(_component, (1, 2, 3)),
     _cane("E_L", 0.06, _OTHER_BRAND, "strength of cane"),
@@ -283,9 +311,7 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
         "between a free plate and a wide wall, which doubles it, equally distributed "
         "(decision 0026)",
     ),
-    _resonance("resonance strength", "strength", 0.9, _LISTED),
-    _resonance("resonance quality", "quality", 0.9, _LISTED),
-    _resonance("resonance frequency", "frequency_hz", 0.004, "speed of sound within 2 degrees"),
+    *(_resonance(field, *prior) for field, prior in _RESONANCE.items()),
     _bypass("bypass, real", "bypass_real"),
     _bypass("bypass, imaginary", "bypass_imaginary"),
     *layers(odd=False),

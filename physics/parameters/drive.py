@@ -60,7 +60,9 @@ class Drive:
     ----------
     tweeter : Tweeter
     acoustic_resonance : AcousticResonance
-        The one that the bench file lists.
+        The first one that the bench file lists; of strength 0 if it lists none.
+    further_resonances : tuple of AcousticResonance
+        The others that it lists.
     second_resonance : AcousticResonance
         One that it does not list; of strength 0 if there is none.
     compression : float
@@ -76,6 +78,7 @@ class Drive:
 
     tweeter: Tweeter = field(default_factory=Tweeter)
     acoustic_resonance: AcousticResonance = field(default_factory=AcousticResonance)
+    further_resonances: tuple[AcousticResonance, ...] = ()
     second_resonance: AcousticResonance = AcousticResonance(7e3, 30.0, 0.0)
     compression: float = quantity(
         0.0, "", 0.0, 0.6, "a dome tweeter near its rated power loses 1 to 3 dB"

@@ -3,13 +3,21 @@
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from scipy.signal import find_peaks
 
+from diagnosis.inference.nuisances import NUISANCES, of_further_resonances
 from diagnosis.known_bench import known_effects_of, only_once, sensor_of
 from fitting.known_bench import bench_of
+from physics.drive import acoustic_gain
+from physics.parameters.drive import AcousticResonance
+from physics.parameters.optics import Layout
 from physics.parameters.sensor import Sensor
-from physics.parameters.tree import BenchParameters
+from physics.parameters.tree import BenchParameters, with_part
+from physics.reed.geometry import ReedGeometry
 from protocols.bench import BenchFile
+from protocols.bench_parameters import nominal_parameters
 from protocols.errors import ProtocolError
 
 SHIPPED = Path(__file__).parents[2] / "protocols" / "benches" / "simulated.yaml"
@@ -121,3 +129,36 @@ def test_effects_are_foreseen_if_the_runs_were_measured_with_them() -> None:
     assert known_effects_of(measured).foreseen
     assert known_effects_of(measured, described).foreseen
     assert not known_effects_of(RUN, described).foreseen
+
+
+LINES = {"no line": (), "one": (4308.6,), "three": (4308.6, 9000.0, 12500.0)}
+
+
+@pytest.mark.parametrize("listed", LINES.values(), ids=LINES)
+def test_a_bench_has_the_acoustic_resonances_that_its_file_lists_and_no_other(listed) -> None:
+    layout, sensor = Layout(), Sensor()
+    nominal = nominal_parameters(
+        layout, sensor, geometry=ReedGeometry(), chamber="asymmetric", series="A",
+        resonances_hz=listed,
+    )  # fmt: skip
+    hz = np.geomspace(2e3, 16e3, 4000)
+    gain = np.abs(acoustic_gain(nominal.drive, hz))
+    peaks = hz[find_peaks(gain, prominence=0.5)[0]]
+    # Poles, and peaks next to them: a path in parallel adds to what passes below it.
+    assert peaks == pytest.approx(listed, rel=0.02)
+    if not listed:
+        assert gain == pytest.approx(np.ones(len(hz)))
+
+
+def test_each_listed_resonance_is_uncertain_by_itself() -> None:
+    lines = tuple(AcousticResonance(frequency_hz=hz) for hz in (9e3, 12.5e3))
+    nominal = with_part(BenchParameters(), "drive", further_resonances=lines)
+    nuisances = {each.name: each for each in of_further_resonances(nominal.drive)}
+    assert len(nuisances) == 6
+    found = nuisances["resonance 3 quality"].change(nominal, np.log(2)).drive.further_resonances
+    assert found[0] == lines[0]
+    assert found[1].quality == pytest.approx(2 * lines[1].quality)
+    assert found[1].strength == lines[1].strength
+    first = {each.name: each for each in NUISANCES}
+    for what in ("strength", "quality", "frequency"):
+        assert nuisances[f"resonance 2 {what}"].spread == first[f"resonance {what}"].spread

@@ -32,6 +32,7 @@ from diagnosis.inference.probabilities import (
     log_odds_with_unknown,
     log_probabilities,
     other_priors,
+    unseen_share,
 )
 from diagnosis.inference.problem import InferenceProblem
 from fitting.parallel.processes import map_processes
@@ -253,5 +254,6 @@ def probability_range(found: ModelSelection, names: Collection[str]) -> tuple[fl
 def likeliest_unknown(found: ModelSelection) -> str:
     """Return the effect, pair or `NONE` in addition to which something unknown is likeliest."""
     logs = log_odds_with_unknown(found.evidence)
-    logs[NONE] = float(np.log(PRIOR["unknown"])) + found.unknown_log_bayes
+    shows = float(np.log1p(-unseen_share(found.evidence)))
+    logs[NONE] = float(np.log(PRIOR["unknown"])) + shows + found.unknown_log_bayes
     return max(logs, key=lambda name: logs[name])

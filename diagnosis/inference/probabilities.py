@@ -116,10 +116,37 @@ def log_probabilities(
     unknown = float(np.log(prior["unknown"]))
     terms[UNKNOWN].append(unknown + float(np.log1p(-unseen)) + evidence.unknown)
     terms[NONE if only_what_shows else UNKNOWN].append(unknown + float(np.log(unseen)))
-    terms[UNKNOWN] += log_odds_with_unknown(evidence, prior).values()
+    for name, log in _beside_unknown(evidence, prior, only_what_shows=only_what_shows):
+        terms[name].append(log)
     logs = {name: float(logsumexp(each)) for name, each in terms.items()}
     total = logsumexp(list(logs.values()))
     return {name: float(log - total) for name, log in logs.items()}
+
+
+def _beside_unknown(
+    evidence: Evidence, prior: Mapping[str, float], *, only_what_shows: bool
+) -> Iterator[tuple[str, float]]:
+    """Yield what one effect and something unknown together add to the odds of each hypothesis.
+
+    Either of both, or both, may be too small to be seen: the evidence is then that without it. Both
+    are looked for together next to the likeliest effects only.
+    """
+    unseen = unseen_share(evidence)
+    shows, hides = float(np.log1p(-unseen)), float(np.log(unseen))
+    also, null = float(np.log(prior["also"] / prior["one"])), evidence.null
+    for log in log_odds_with_unknown(evidence, prior).values():
+        yield UNKNOWN, log
+    none = also + log_prior(1, evidence.effects, prior)
+    alone = {n: one for n, one in evidence.candidates.items() if len(one.effects) == 1}
+    hidden = dict.fromkeys(evidence.unseen, none)
+    for name, one in alone.items():
+        seen = also + log_odds(one, null, evidence.effects, prior)
+        yield name if only_what_shows else UNKNOWN, seen + hides
+        # What is unknown explains whatever strengths that do not show might explain.
+        hidden[name] = none + min(0.0, one.log_hidden - null.log_evidence)
+    for log in hidden.values():
+        yield UNKNOWN, log + shows + evidence.unknown
+        yield NONE if only_what_shows else UNKNOWN, log + hides
 
 
 def unseen_share(evidence: Evidence) -> float:
@@ -146,8 +173,8 @@ def _log_hidden(
 def log_odds_with_unknown(
     evidence: Evidence, prior: Mapping[str, float] = PRIOR
 ) -> dict[str, float]:
-    """Return the log odds of something unknown in addition to each of the likeliest candidates."""
-    also = float(np.log(prior["also"] / prior["one"]))
+    """Return the log odds of something unknown that shows next to each of the likeliest effects."""
+    also = float(np.log(prior["also"] / prior["one"])) + float(np.log1p(-unseen_share(evidence)))
     return {
         name: also
         + log_odds(evidence.candidates[name], evidence.null, evidence.effects, prior)

@@ -14,7 +14,15 @@ from diagnosis.inference.model_selection import (
     refit_candidate,
     select_model,
 )
-from diagnosis.inference.probabilities import NONE, PRIOR, UNKNOWN, unseen_share
+from diagnosis.inference.probabilities import (
+    NONE,
+    PRIOR,
+    UNKNOWN,
+    Evidence,
+    log_odds_with_unknown,
+    log_probabilities,
+    unseen_share,
+)
 from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
@@ -188,8 +196,10 @@ def test_what_would_not_show_counts_as_none() -> None:
     assert shown[NONE] > 0.9
     # A bump of some standard deviations shows, whichever way it is counted.
     bump = select_model(measured(12, bench(crosstalk=0.3)), EFFECTS)
+    # Something unknown that would not show may be there as well.
+    unseen = unseen_share(bump.evidence)
     assert bump.probability_of_what_shows["bump"] == pytest.approx(
-        bump.probability["bump"], abs=0.02
+        bump.probability["bump"] * (1 + PRIOR["also"] / PRIOR["one"] * unseen), abs=0.02
     )
 
 
@@ -218,11 +228,43 @@ def test_what_cannot_be_seen_may_still_be_unknown() -> None:
     selection = select_model(measured(12, bench()), EFFECTS)
     found, before = selection.log_probability, PRIOR["unknown"] / PRIOR["none"]
     share = unseen_share(selection.evidence)
-    assert share * before < np.exp(found[UNKNOWN] - found[NONE]) < before
+    # Next to an effect that would not show either, too.
+    most = before + PRIOR["also"] / PRIOR["none"]
+    assert share * before < np.exp(found[UNKNOWN] - found[NONE]) < most
     # One of four effects moves nothing; all strengths of the others show, or not where it is noisy.
     assert share == pytest.approx(2 / 6)
     noisy = select_model(measured(12, bench(), noise=2.0), EFFECTS)
     assert 2.1 / 6 < unseen_share(noisy.evidence) < 4 / 6
+
+
+def test_something_unknown_next_to_an_effect_may_be_too_small_to_be_seen() -> None:
+    """One of four effects is sure, one changes nothing, two have the evidence that is given."""
+    null = without_effects(measured(12, bench()), [np.zeros(1)])
+    lone = {
+        name: replace(
+            null,
+            effects=(LocatedEffect(each, {}),),
+            log_evidence=null.log_evidence + log,
+            log_hidden=-np.inf,
+        )
+        for (name, log), each in zip(
+            {"sure": 20.0, "one": -30.0, "other": -30.0}.items(), EFFECTS, strict=False
+        )
+    }
+    evidence = Evidence(null, lone, -30.0, {"sure": 3.0}, ("nothing",), 4)
+    share = unseen_share(evidence)
+    assert share == pytest.approx(2 / 6)
+    logs = log_probabilities(evidence, only_what_shows=True)
+    also = PRIOR["also"] / PRIOR["one"]
+    # The unknown that shows has its share of the prior and its evidence; the other is no matter.
+    shown = also * (1 - share) * np.exp(3.0) / (1 + also * share)
+    assert np.exp(logs[UNKNOWN] - logs["sure"]) == pytest.approx(shown)
+    assert np.exp(log_odds_with_unknown(evidence)["sure"]) == pytest.approx(
+        PRIOR["also"] / 4 * (1 - share) * np.exp(23.0)
+    )
+    whole = log_probabilities(evidence)
+    every = also * (share + (1 - share) * np.exp(3.0))
+    assert np.exp(whole[UNKNOWN] - whole["sure"]) == pytest.approx(every)
 
 
 def test_priors_follow_from_one_another() -> None:

@@ -32,6 +32,8 @@ _NODES = (0.02, 0.06, 0.15, 0.3, 0.6, 1.0)
 # Smallest strength that counts, as a share of the largest, and the number of strengths summed over.
 # Chosen: two decades, in steps of 4 %; and share of a step by which a peak is sought.
 _LEAST, _STEPS, _PEAK = 0.01, 120, 0.02
+# Log of the density of strengths, in their logs.
+_LOG_DENSITY = -math.log(-math.log(_LEAST))
 # An effect with a location is first computed everywhere at one strength, then at the best places.
 _PROBE, _PLACES = 3, 4
 # Step of second parameters, in their standard deviations.
@@ -128,16 +130,21 @@ def scan_effect(problem: InferenceProblem, start: Start, effect: Effect) -> Scan
     start = replace(start, sizes=np.zeros(len(effect.sizes)))
     places, ways = list(locations_of(effect)), _directions(effect)
     lines = [_Line(problem, start, place, way) for place in places for way in ways]
+    others: list[_Line] = []
     if len(places) > 1:
-        lines = sorted(lines, key=lambda line: -line.probe())[: _PLACES * len(ways)]
-    swept = [found for line in lines if (found := line.swept()) is not None]
+        lines = sorted((line for line in lines if line.possible), key=lambda line: -line.probe())
+        lines, others = lines[: _PLACES * len(ways)], lines[_PLACES * len(ways) :]
+    tried = [line.swept() for line in lines]
+    swept = [found for found in tried if found is not None]
     if not swept:
         return None
     best = max(swept, key=lambda one: (np.isfinite(one.shown), one.most))
-    # Where nothing was swept, the effect has the evidence of none.
-    every = len(places) * len(ways)
-    hidden = [0.0] * (every - len(swept)) + [one.hidden for one in swept]
-    shown = float(logsumexp([one.shown for one in swept])) - math.log(every)
+    # Elsewhere all is taken to be proportional to the strength. Where an effect changes nothing, it
+    # has the evidence of none.
+    sums = [(one.shown, one.hidden) for one in swept] + [line.in_proportion() for line in others]
+    every = len(sums) + sum(found is None for found in tried)
+    hidden = [each for _, each in sums] + [0.0] * (every - len(sums))
+    shown = float(logsumexp([each for each, _ in sums])) - math.log(every)
     return best.scan(
         shown - best.shown if np.isfinite(best.shown) else 0.0,
         float(logsumexp(hidden)) - math.log(every) + start.weighed.log_evidence,
@@ -221,15 +228,28 @@ class _Line:
             found.append((self._residuals(sizes) - here) / _SECOND)
         return self.problem.to_noise(np.stack(found, axis=1))
 
+    @property
+    def possible(self) -> bool:
+        """Whether there is a reed with a moderate strength of the effect."""
+        with contextlib.suppress(ImpossibleReedError):
+            self.shift(_NODES[_PROBE])
+            return True
+        return False
+
     def probe(self) -> float:
-        """Return the gain at the likeliest strength if all is proportional to it, or -inf."""
-        try:
-            shift = self.shift(_NODES[_PROBE])
-        except ImpossibleReedError:
-            return -np.inf
-        P = self.start.weighed.precision
+        """Return the gain at the likeliest strength if all is proportional to it."""
+        shift, P = self.shift(_NODES[_PROBE]), self.start.weighed.precision
         pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
         return 0.5 * max(-pull, 0.0) ** 2 / max(known, 1e-12)
+
+    def in_proportion(self) -> tuple[float, float]:
+        """Return `_Swept.shown` and `_Swept.hidden` if all is proportional to the strength."""
+        shift = self.shift(_NODES[_PROBE]) / _NODES[_PROBE]
+        P, bare = self.start.weighed.precision, self.start.bare.precision
+        pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
+        shares = np.geomspace(_LEAST, 1.0, _STEPS)
+        gains = -shares * pull - 0.5 * known * shares**2
+        return _shown_and_hidden(gains, shares * math.sqrt(float(shift @ bare @ shift)), shares)
 
     def swept(self) -> "_Swept | None":
         """Try all strengths; None if the effect changes nothing or no reed is possible."""
@@ -302,13 +322,10 @@ class _Swept:
         # A peak narrower than the steps is a Gaussian in between.
         lower, upper = self.gains(best * np.exp([-_PEAK * step, _PEAK * step]))
         bend = max((2 * most - lower - upper) / (_PEAK * step) ** 2, 1e-12)
-        shows = self.deviations(shares) >= SHOWS
-        shown = _log_integral(np.where(shows, gains, -np.inf), step)
-        hidden = _log_integral(np.where(shows, -np.inf, gains), step)
+        shown, hidden = _shown_and_hidden(gains, self.deviations(shares), shares)
         if 0 < place < len(shares) - 1 and bend * step**2 > 1:
-            shown = most + 0.5 * math.log(2 * math.pi / bend)
-        density = math.log(1 / -math.log(_LEAST))
-        return replace(self, best=best, most=most, shown=shown + density, hidden=hidden + density)
+            shown = most + 0.5 * math.log(2 * math.pi / bend) + _LOG_DENSITY
+        return replace(self, best=best, most=most, shown=shown, hidden=hidden)
 
     def deviations(self, shares: Array) -> Array:
         """Return by how many standard deviations such shares (k,) move all numbers together."""
@@ -384,6 +401,21 @@ class _Swept:
             model=model,
             weighed=after,
         )
+
+
+def _shown_and_hidden(gains: Array, deviations: Array, shares: Array) -> tuple[float, float]:
+    """Return the logs of the mean gain of strengths that would show, and of all others.
+
+    Parameters
+    ----------
+    gains, deviations, shares : (k,) float
+        Log gain, and standard deviations by which all numbers move together, at shares of the
+        largest strength that are evenly spaced in their logs.
+    """
+    shows, step = deviations >= SHOWS, math.log(shares[1] / shares[0])
+    shown = _log_integral(np.where(shows, gains, -np.inf), step)
+    hidden = _log_integral(np.where(shows, -np.inf, gains), step)
+    return shown + _LOG_DENSITY, hidden + _LOG_DENSITY
 
 
 def _log_integral(logs: Array, step: float) -> float:

@@ -11,7 +11,12 @@ from scipy.stats import multivariate_normal
 from diagnosis.inference.candidates import without_effects
 from diagnosis.inference.effect_scan import Start, _log_integral, scan_effect
 from diagnosis.inference.linear_model import KNOWN, LinearModel, Scales, weigh, weighed_at
-from tests.diagnosis.toy import EFFECTS, bench, measured
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.observable_groups import Coordinates, Observable, observable_group
+from physics.effects.changes import changed
+from physics.effects.effect import Effect, Parameter, Stage
+from physics.parameters.tree import BenchParameters, with_part
+from tests.diagnosis.toy import EFFECTS, LEVEL, bench, measured
 
 N, Q = 60, 20
 
@@ -154,3 +159,44 @@ def test_parts_of_an_integral_add_up_to_the_whole() -> None:
         parts = [_log_integral(part, step) for part in (below, above)]
         assert np.logaddexp(*parts) == pytest.approx(whole, abs=0.01)
     assert _log_integral(np.full(5, -np.inf), step) == -np.inf
+
+
+def _stepping(strength: float, noise: float = 0.3) -> InferenceProblem:
+    """Numbers that step up somewhere, at any of forty places; places behind the last are empty."""
+
+    def steps(parameters):
+        beams = parameters.optics.interference
+        return beams.fade_per_h + beams.hop * (np.linspace(0, 4, 120) > beams.hop_after_h)
+
+    truth = with_part(BenchParameters(), "optics.interference", hop=strength, hop_after_h=1.52)
+    y = steps(truth) + noise * np.random.default_rng(5).standard_normal(120)
+    places = [Coordinates("step", time=f"t{k // 30}") for k in range(120)]
+    group = observable_group(
+        "steps", Observable.MAPS, y, np.full(120, noise), places, ("optics",), steps
+    )
+    return InferenceProblem([group], BenchParameters(), (LEVEL,))
+
+
+_STEP = Effect(
+    id="step", title="step", stage=Stage.OPTICS,
+    parameters=(
+        Parameter("size", "", 1.0, "toy", positive=True, most=3.0),
+        Parameter("after", "h", 0.0, "toy", grid=tuple(np.linspace(0.05, 4.1, 40).tolist())),
+    ),
+    change=changed("optics.interference", put={"hop": "size", "hop_after_h": "after"}),
+    reference="",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.15, 1.0])
+def test_places_that_are_not_swept_count_as_if_they_were(monkeypatch, strength: float) -> None:
+    problem = _stepping(strength)
+    start = Start.without(problem, without_effects(problem, [np.zeros(1)]).estimate)
+    few = scan_effect(problem, start, _STEP)
+    monkeypatch.setattr("diagnosis.inference.effect_scan._PLACES", 40)
+    all_of_them = scan_effect(problem, start, _STEP)
+    assert few.log_evidence == pytest.approx(all_of_them.log_evidence, abs=0.02)
+    assert few.log_hidden == pytest.approx(all_of_them.log_hidden, abs=0.02)
+    if not strength:
+        # In the middle, steps of 0.11 show: 0.28 of two decades are below. At the ends it is more.
+        assert 0.28 < np.exp(few.log_hidden - start.weighed.log_evidence) < 0.45

@@ -176,7 +176,11 @@ def diagnose(
     known = known or KnownEffects()
     problem = inference_problem(readings, reed_solver, base or BenchParameters(), known.effects)
     summary = CampaignSummary(
-        condition_of(readings), readings.missing, readings.refused, known.foreseen
+        condition_of(readings),
+        readings.missing,
+        readings.refused,
+        known.foreseen,
+        readings.moments_h,
     )
     return diagnose_problem(problem, summary, progress, only_once(known.effects))
 
@@ -192,12 +196,15 @@ class CampaignSummary:
     missing, refused : tuple of str
     foreseen : bool
         Whether known effects were known before the campaign was measured.
+    moments_h : tuple of float
+        See `Readings.moments_h`.
     """
 
     condition: str = ""
     missing: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
     foreseen: bool = False
+    moments_h: tuple[float, ...] = ()
 
 
 def diagnose_problem(
@@ -218,7 +225,8 @@ def _judged(
     progress: Callable[[float], None] | None,
     without: Sequence[str],
 ) -> Diagnosis:
-    effects = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
+    physical = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
+    effects = [effect.at_moments(summary.moments_h) for effect in physical]
     problem, null, inflated = _certified(problem)
     found = select_model(problem, effects, progress, null)
     reach = detectability_of(effects, found.signatures)

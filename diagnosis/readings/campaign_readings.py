@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diagnosis.campaign import Campaign
@@ -23,6 +24,9 @@ from physics.parameters.tree import BenchParameters
 from protocols.bench import BenchFile
 from runs.layout import RunKind
 
+# Moments at which something may happen, and a gap between two holograms that is a pause, in usual
+# ones. Chosen: in a campaign of five sweeps of 184 steps, every sixth hologram is one.
+_MOMENTS, _PAUSE = 150, 5.0
 # Share of the time that fitting sweeps takes.
 _SWEEPS = 0.95
 
@@ -62,6 +66,23 @@ class Readings:
     rate_hz: float
     nominal: BenchParameters
     extra: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def moments_h(self) -> tuple[float, ...]:
+        """Hours after which something may happen at once, since the campaign began.
+
+        They lie between holograms, with every pause and at most `_MOMENTS` others, which are evenly
+        spaced among the holograms.
+        """
+        times_s = [sweep.time_s for sweep in self.sweeps] + [each.time_s for each in self.stills]
+        at_s = np.sort(np.concatenate(times_s)) if times_s else np.zeros(0)
+        if at_s.size < 2:
+            return ()
+        gaps_s = np.diff(at_s)
+        chosen = np.unique(np.linspace(0, len(gaps_s) - 1, _MOMENTS).round().astype(int))
+        pauses = np.flatnonzero(gaps_s > _PAUSE * np.median(gaps_s))
+        before = np.union1d(chosen, pauses)
+        return tuple((at_s[before] + 0.5 * gaps_s[before]) / 3600)
 
 
 def read_runs(

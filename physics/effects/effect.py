@@ -1,6 +1,7 @@
 """An effect: a physical cause that the nominal model leaves out, as a change of its parameters."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from physics.effects.changes import Change
@@ -42,6 +43,9 @@ class Parameter:
     most : float
         Largest strength that a bench can have. Before a campaign, strengths from a hundredth of
         that on are equally likely on a scale of logarithms. 0 for a second size.
+    moment : bool
+        Whether the grid are times since a campaign began. A campaign has its own: see
+        `Effect.at_moments`.
     """
 
     name: str
@@ -51,6 +55,7 @@ class Parameter:
     positive: bool = False
     grid: tuple[float, ...] = ()
     most: float = 0.0
+    moment: bool = False
 
     @property
     def scale(self) -> float:
@@ -97,3 +102,12 @@ class Effect:
     def gridded(self) -> tuple[Parameter, ...]:
         """Parameters whose values are from a grid."""
         return tuple(parameter for parameter in self.parameters if parameter.grid)
+
+    def at_moments(self, hours: Sequence[float]) -> "Effect":
+        """Return the effect with other times, at which a campaign could show it."""
+        if not hours:
+            return self
+        parameters = tuple(
+            replace(each, grid=tuple(hours)) if each.moment else each for each in self.parameters
+        )
+        return replace(self, parameters=parameters)

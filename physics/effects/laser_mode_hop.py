@@ -5,7 +5,8 @@ import numpy as np
 from physics.effects.changes import changed
 from physics.effects.effect import Effect, Parameter, Stage
 
-# Half a minute to eight hours; a step of a quarter is shorter than most sweeps of a campaign.
+# Half a minute to eight hours. Chosen: for bench files that do not say when; a diagnosis tries the
+# times of its own campaign.
 _AFTER_H = tuple(float(h) for h in np.geomspace(0.5 / 60, 8.0, 32))
 
 EFFECT = Effect(
@@ -28,6 +29,7 @@ EFFECT = Effect(
             0.0,
             "at any time, from a sweep of a minute to a day's work",
             grid=_AFTER_H,
+            moment=True,
         ),
     ),
     change=changed("optics.interference", put={"hop": "contrast_loss", "hop_after_h": "after"}),

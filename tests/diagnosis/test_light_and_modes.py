@@ -5,12 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis.inference.candidates import without_effects
+from diagnosis.inference.effect_scan import Start, scan_effect
+from diagnosis.inference.nuisances import Nuisance
+from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observables.brightness import FIELD_CHANGE, brightness_group, field_changing
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _torn
 from diagnosis.observables.light import noise_group
 from diagnosis.observables.modes import _of_leaks
+from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
+from physics.effects.catalogue import BY_ID
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 
@@ -229,3 +235,38 @@ def test_levels_count_once_whatever_a_few_lost_steps_do_to_their_mean() -> None:
               sweep("d", 1, 0, loudness=1.05)]  # fmt: skip
     assert [s.name for s in at_highest_level(sweeps)] == ["a", "c", "d"]
     assert [s.name for s in loudest(sweeps)] == ["a", "d"]
+
+
+def _hopped(after_s):
+    """Return three sweeps in which fringes lose a fifth, and readings with their times."""
+    rng, sweeps = np.random.default_rng(6), []
+    k = np.arange(COUNT)
+    for number, order in enumerate((k, k[::-1], rng.permutation(COUNT))):
+        one = sweep(f"sweep {number}", 1.0, 0.0)
+        one.time_s = 300.0 * number + 0.4 * order
+        one.signal = np.log1p(-0.2) * (one.time_s > after_s) + 0.01 * rng.standard_normal(COUNT)
+        sweeps.append(one)
+    stills = [SimpleNamespace(time_s=np.array([1200.0, 1200.4]))]
+    return sweeps, SimpleNamespace(sweeps=sweeps, stills=stills)
+
+
+@pytest.mark.parametrize("after_s", [41.3, 352.1, 640.7, 450.0])
+def test_a_laser_that_hops_within_a_sweep_or_between_two_is_found(after_s: float) -> None:
+    """As well as if it were known when."""
+    sweeps, readings = _hopped(after_s)
+    moments_h = Readings.moments_h.fget(readings)
+    assert len(moments_h) < 160
+    # Every pause is one of them.
+    assert {round(3600 * h) for h in moments_h} >= {187, 487, 937}
+    nothing = Nuisance("nothing", "", 1.0, lambda parameters, _value: parameters, "toy")
+    problem = InferenceProblem([brightness_group(sweeps, [])], BenchParameters(), (nothing,))
+    start = Start.without(problem, without_effects(problem, [np.zeros(1)]).estimate)
+    exact, found, grid = (
+        scan_effect(problem, start, BY_ID["laser_mode_hop"].at_moments(hours))
+        for hours in ((after_s / 3600,), moments_h, ())
+    )
+    gain = found.weighed.log_evidence - start.weighed.log_evidence
+    assert gain > 8
+    assert gain == pytest.approx(exact.weighed.log_evidence - start.weighed.log_evidence, rel=0.2)
+    # Hours of bench files are too far apart to find most of those within a sweep.
+    assert found.log_evidence > grid.log_evidence - (1 if after_s == 450.0 else 0)

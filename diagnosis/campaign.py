@@ -134,7 +134,10 @@ def _require_one(runs: Sequence[Run]) -> None:
         "reeds or series": lambda run: f"{run.reed} ({run.series})",
         "kinds of reed": lambda run: run.reed_sha256[:8],
         "fillings of the chamber": lambda run: run.chamber,
-        "wavelengths and distances": lambda run: _optics(run),
+        "wavelengths and distances": _optics,
+        "sizes of frames": lambda run: " x ".join(f"{n}" for n in run.frame_shape),
+        # Brightness and noise of light from the reed are compared between runs.
+        "exposures or frame rates": _exposure,
     }
     for what, label in of.items():
         labels = sorted({label(run) for run in runs} - {""})
@@ -165,6 +168,18 @@ def _clampings_before(runs: Sequence[Run]) -> dict[str, int]:
 def _optics(run: Run) -> str:
     transform = run.reconstruction.transform
     return f"{1e9 * transform.wavelength_m:.6g} nm at {transform.distance_m:.6g} m"
+
+
+def _exposure(run: Run) -> str:
+    """Return exposure and frame rate of a run with light from the reed; else an empty text."""
+    if run.acquisition.kind not in (RunKind.SWEEP, RunKind.ORDER0):
+        return ""
+    measured = [step for step in run.steps if step.verdict.measured]
+    # Cameras keep an exposure to half a per cent.
+    each = sorted({f"{1e3 * run.exposure_of(step):.3g} ms" for step in measured})
+    if not each:
+        return ""
+    return f"{' and '.join(each)} at {float(run.frame_rate_hz):.6g} Hz"
 
 
 def _name(run: Run) -> str:

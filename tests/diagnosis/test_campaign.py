@@ -29,6 +29,9 @@ def run(kind=RunKind.SWEEP, second=0, part="", clamping=0, volts=16.0, clock_s=1
         "steps": (step,),
         "path": Path(f"{part or 'run'}.h5"),
         "reconstruction": SimpleNamespace(transform=transform),
+        "frame_shape": (1024, 1280),
+        "frame_rate_hz": 12.4,
+        "exposure_of": lambda _step: 0.08,
     }
     return SimpleNamespace(**fields | changed)
 
@@ -67,6 +70,9 @@ def test_runs_of_one_name_are_distinguished() -> None:
     [
         ({"reed": "R08"}, r"R07 \(A\), R08 \(A\); diagnose them one by one"),
         ({"series": "B"}, r"R07 \(A\), R07 \(B\)"),
+        ({"frame_shape": (512, 640)}, "several sizes of frames: 1024 x 1280, 512 x 640"),
+        ({"exposure_of": lambda _step: 0.04}, "40 ms at 12.4 Hz, 80 ms at 12.4 Hz"),
+        ({"frame_rate_hz": 6.2}, "exposures or frame rates: 80 ms at 12.4 Hz, 80 ms at 6.2 Hz"),
         ({"reed_sha256": "cd" * 32}, "several kinds of reed: abababab, cdcdcdcd"),
         ({"chamber": "symmetric"}, "fillings of the chamber: asymmetric, symmetric"),
         (

@@ -40,9 +40,9 @@ from physics.reed.elements.fem import Symmetry
 
 # Gains that are kept. Chosen: some hundred kilobytes.
 _KEPT = 8192
-# Frequencies that lie no further apart, in log, are one: a generator may not play quite what it is
-# asked to. Chosen: a fifteenth of a step of 25 cents.
-_SAME_HZ = 1e-3
+# Frequencies of two sweeps that lie no further apart, in log, are one: a generator may not play
+# quite what it is asked to. Chosen: a fifteenth of a step of 25 cents; of narrower steps a quarter.
+_SAME_HZ, _OF_STEP = 1e-3, 0.25
 # Log of the drive: polynomials of this degree may be any speaker's, of any size. Chosen: four
 # bends in three octaves.
 _DEGREE, _SMOOTH = 5, 1.0
@@ -68,9 +68,10 @@ _LEAST, _WEAK = 0.01, 0.02
 _OFF_BY = np.linspace(-0.5, 0.5, 7)
 # Acoustic paths cancel to this gain at most. Chosen: 60 dB, more than walls let through.
 _LEAST_GAIN = 1e-3
-# Holograms over which sweeps may differ smoothly: 375 cents, a resonance of quality 5. At the ends
-# little tells what is smooth: share of the range, and error of the log there. Chosen.
-_AROUND, _END_SHARE, _END = 15, 0.06, 0.1
+# Log frequency over which sweeps may differ smoothly: 375 cents, a resonance of quality 5; and the
+# fewest holograms. At the ends little tells what is smooth: share of the range, and error of the
+# log there. Chosen.
+_AROUND, _FEWEST_AROUND, _END_SHARE, _END = 0.217, 5, 0.06, 0.1
 # Beyond this frequency modes are too dense to separate them from the drive.
 _HIGHEST_HZ = 16.5e3
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
@@ -199,7 +200,7 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array, Ar
     the errors (k, k) of the fits themselves, which come last, do not decrease with their number.
     """
     every = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
-    new = np.diff(np.log(every), prepend=-np.inf) > _SAME_HZ
+    new = np.diff(np.log(every), prepend=-np.inf) > _same_hz(sweeps)
     hz, place = every[new], np.cumsum(new) - 1
     table = np.full((len(sweeps), len(hz)), np.nan)
     pairs = np.zeros((len(hz), len(hz)))
@@ -218,12 +219,20 @@ def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array, Ar
         return hz, hz, hz, fitted
     middle = np.nanmedian(table, axis=0)
     apart = np.where(np.isfinite(table), table - middle, 0.0)
-    apart = apart - median_filter(apart, size=(1, _AROUND), mode="nearest")
+    around = _AROUND / float(np.median(np.diff(np.log(hz)))) if len(hz) > 1 else 1.0
+    apart -= median_filter(apart, (1, max(round(around), _FEWEST_AROUND)), mode="nearest")
     mean = middle + np.sum(apart, axis=0) / count
     error = np.sqrt(np.sum(apart**2, axis=0) / np.maximum(count - 1, 1))
     pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
     ends = np.clip((np.abs(pitch) / np.abs(pitch).max() - 1) / _END_SHARE + 1, 0, 1)
     return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2), fitted
+
+
+def _same_hz(sweeps: Sequence[SweepReading]) -> float:
+    """Return up to which log distance frequencies of two sweeps are one."""
+    steps = [np.diff(np.sort(np.log(sweep.drive_hz))) for sweep in sweeps]
+    narrow = min((float(step[step > 0].min(initial=np.inf)) for step in steps), default=np.inf)
+    return min(_SAME_HZ, _OF_STEP * narrow)
 
 
 def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup | None:
@@ -245,7 +254,7 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
     times_s: list[tuple[Array, Array]] = []
     for other in others:
         apart = np.abs(np.log(loud[0].drive_hz[:, None] / other.drive_hz))
-        one = np.flatnonzero(apart.min(axis=1) < _SAME_HZ)
+        one = np.flatnonzero(apart.min(axis=1) < _same_hz((loud[0], other)))
         two = np.argmin(apart[one], axis=1)
         # At small amplitude, leaked light is as large as the signal.
         told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LEAST_AMPLITUDE_RAD)

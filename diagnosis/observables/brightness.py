@@ -31,6 +31,8 @@ from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 
 _CHANGES = BY_NAME["field_change"].ordinary.source
+# Time of an acquisition where there are none: four frames at the paper's 12.4 Hz, and settling.
+_USUAL_S = 0.4
 # Pieces of a sweep's time. Chosen: of 184 steps, each has more than 20.
 PIECES = 8
 # Sweeps end together if they do within two steps of 25 cents.
@@ -151,7 +153,7 @@ def _changes(
         Times of all acquisitions.
     """
     at_s, rest = acquisition_times_s(table.sweeps), np.eye(len(still_s))
-    steps = _steps(np.concatenate([at_s, still_s]), acquired_s)
+    steps = acquired_until(np.concatenate([at_s, still_s]), acquired_s)
     walk = np.minimum.outer(steps, steps)
     log_hz = np.log(np.concatenate([sweep.drive_hz for sweep in table.sweeps]))
     near = np.exp(-0.5 * (np.subtract.outer(log_hz, log_hz) / _MODE_DISTANCE) ** 2)
@@ -179,9 +181,25 @@ def _as_pieces(table: "_Brightness", pieces: Sequence[tuple[int, NDArray[np.intp
     return weights
 
 
-def _steps(at_s: Array, acquired_s: Array) -> Array:
-    """Return how many acquisitions (n,) there are between the first of some times and each."""
-    steps = np.searchsorted(np.sort(acquired_s), at_s).astype(float)
+def acquired_until(at_s: Array, acquired_s: Array) -> Array:
+    """Return how many acquisitions (n,) there are between the first of some times and each.
+
+    Light changes with time: a pause counts as many acquisitions as there would be in it.
+
+    Parameters
+    ----------
+    at_s : (n,) float
+    acquired_s : (k,) float
+        Times of all acquisitions.
+    """
+    begun_s = np.unique(acquired_s)
+    usual_s = float(np.median(np.diff(begun_s))) if len(begun_s) > 1 else _USUAL_S
+    count = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(begun_s) / usual_s, 1.0))])
+    if not len(begun_s):
+        begun_s = at_s[:1]
+    inside = np.interp(at_s, begun_s, count[: len(begun_s)])
+    outside = np.minimum(at_s - begun_s[0], 0.0) + np.maximum(at_s - begun_s[-1], 0.0)
+    steps = inside + outside / usual_s
     return np.asarray(steps - steps.min(initial=np.inf))
 
 
@@ -224,7 +242,7 @@ def field_changing(
         Times of all acquisitions, also of other sweeps.
     """
     ends = np.array([[np.mean(each) for each in pair] for pair in times_s])
-    columns = FIELD_CHANGE * walk_columns(_steps(ends.T.ravel(), acquired_s))
+    columns = FIELD_CHANGE * walk_columns(acquired_until(ends.T.ravel(), acquired_s))
     # From the light at one time to that at the other.
     walk = columns[: len(ends)] - columns[len(ends) :]
     whole = FIELD_CHANGE * np.sqrt(len(acquisition_times_s(compared)) / 2)

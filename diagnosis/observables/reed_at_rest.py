@@ -14,6 +14,7 @@ from diagnosis.observable_groups import (
     observable_group,
 )
 from diagnosis.observable_source import GroupSource
+from diagnosis.observables.brightness import acquired_until
 from diagnosis.observables.frequency_lock import lock_scatter_hz, turn_of_unequal_steps
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.reed_at_rest import RestHolograms
@@ -39,6 +40,9 @@ _ORDINARY = Interference(
     step_walk_rad=BY_NAME["path_step"].ordinary.root_mean_square,
 )
 _WALK = 0.7
+# Scatter of the power of an ordinary laser from frame to frame, and degrees of freedom from which
+# on acquisitions show their own: Student's distribution has a variance from three on.
+_ORDINARY_LASER, _FEWEST = BY_NAME["laser_power"].ordinary.root_mean_square, 3
 # Share of the light's correlation that an ordinary bench loses from one acquisition to the next.
 _LOST = 0.5 * sum(
     BY_NAME[name].ordinary.root_mean_square ** 2 for name in ("speckle_renewal", "field_change")
@@ -130,19 +134,16 @@ def stability_group(stills: Sequence[RestHolograms], acquired_s: Array) -> Obser
     """
     values, errors, places = [], [], []
     ratios = [still.frame_ratio for still in stills]
-    # A laser flickers from frame to frame: acquisitions of light at rest show by how much.
-    freedoms = max(sum(len(ratio) - 1 for ratio in ratios), 1)
-    flicker = np.sqrt(sum(np.sum((ratio - ratio.mean()) ** 2) for ratio in ratios) / freedoms)
+    flicker = _flicker(ratios)
     for still in stills:
         when = f"clamping {still.clamping + 1}"
         values.append(float(np.mean(still.frame_ratio)))
-        own = max(_FEW * float(flicker), still.frame_scatter) / np.sqrt(len(still.frame_ratio))
+        own = max(flicker, still.frame_scatter) / np.sqrt(len(still.frame_ratio))
         errors.append(own)
         places.append(Coordinates("every other frame's brightness", time=when))
         for a in range(len(still.likeness)):
             for b in range(a):
-                first_s, last_s = np.sort(still.run_time_s[[a, b]])
-                between = int(np.count_nonzero((acquired_s > first_s) & (acquired_s < last_s)))
+                between = float(np.ptp(acquired_until(still.run_time_s[[a, b]], acquired_s)))
                 values.append(1 - float(still.likeness[a, b]))
                 errors.append(float(np.hypot(_LOST * max(between, 1), still.likeness_error)))
                 places.append(Coordinates("speckle that has changed", time=when))
@@ -155,6 +156,20 @@ def stability_group(stills: Sequence[RestHolograms], acquired_s: Array) -> Obser
         "still light", Observable.FIELD, values, Errors(np.array(errors), (), DISORDER), places,
         (), predict,
     )  # fmt: skip
+
+
+def _flicker(ratios: Sequence[Array]) -> float:
+    """Return by how much a laser flickers from frame to frame, as wide as it may be.
+
+    Acquisitions of light at rest show it. Few of them agree by chance: the laser is then an
+    ordinary one, at least.
+    """
+    freedoms = sum(len(ratio) - 1 for ratio in ratios)
+    squares = sum(float(np.sum((ratio - ratio.mean()) ** 2)) for ratio in ratios)
+    if freedoms < _FEWEST:
+        return max(_FEW * float(np.sqrt(squares / max(freedoms, 1))), _ORDINARY_LASER)
+    # Variance of Student's distribution.
+    return float(np.sqrt(squares / (freedoms - 2)))
 
 
 def phase_scatter_group(
@@ -214,7 +229,7 @@ def _turns(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | No
 
 
 def _stability(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return stability_group(readings.stills, readings.beat.time_s) if readings.stills else None
+    return stability_group(readings.stills, readings.beat.acquired_s) if readings.stills else None
 
 
 def _scatter(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:

@@ -1,7 +1,7 @@
 """Lost frames and lock errors of all steps of all sweeps."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ class StepLog:
     lock_hz, error_hz : (k,) float
         By which the lock was missed, and standard errors; of steps with light enough.
     drive_hz, time_s : (k,) float
+    acquired_s : (n,) float
+        Times of all acquisitions, also of those without light enough.
     sweep : (k,) int
     names : tuple of str
         Of the sweeps.
@@ -39,14 +41,18 @@ class StepLog:
     time_s: Array
     sweep: NDArray[np.intp]
     names: tuple[str, ...]
+    acquired_s: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def read_step_log(parts: Sequence[CampaignRun]) -> StepLog:
     """Read the steps of sweeps."""
-    rows, lost, count = [], 0, 0
+    rows, acquired_s, lost, count = [], [], 0, 0
     for number, part in enumerate(parts):
         for attempt in (*part.run.steps, *part.run.earlier_attempts):
-            if attempt.verdict.measured and attempt.order == part.run.sideband_order:
+            if not attempt.verdict.measured:
+                continue
+            acquired_s.append(float(np.mean(attempt.timestamps_s)) - part.clock_s)
+            if attempt.order == part.run.sideband_order:
                 count += 1
                 lost += attempt.verdict in _LOST
         for step in part.run.steps:
@@ -58,4 +64,5 @@ def read_step_log(parts: Sequence[CampaignRun]) -> StepLog:
                 rows.append((step.lock_error_hz, step.lock_error_se_hz, hz, time_s, number))
     lock, error, hz, time_s, number_ = np.reshape(np.array(rows, dtype=float), (-1, 5)).T
     names = tuple(part.name for part in parts)
-    return StepLog(count, lost, lock, error, hz, time_s, number_.astype(int), names)
+    acquired = np.sort(np.array(acquired_s))
+    return StepLog(count, lost, lock, error, hz, time_s, number_.astype(int), names, acquired)

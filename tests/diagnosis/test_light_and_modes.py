@@ -9,11 +9,17 @@ from diagnosis.inference.candidates import without_effects
 from diagnosis.inference.effect_scan import Start, scan_effect
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
-from diagnosis.observables.brightness import FIELD_CHANGE, brightness_group, field_changing
+from diagnosis.observables.brightness import (
+    FIELD_CHANGE,
+    acquired_until,
+    brightness_group,
+    field_changing,
+)
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import _torn
 from diagnosis.observables.light import noise_group
 from diagnosis.observables.modes import _of_leaks
+from diagnosis.observables.reed_at_rest import stability_group
 from diagnosis.readings.campaign_readings import Readings
 from diagnosis.readings.sweeps import _doubt, at_highest_level, loudest
 from physics.effects.catalogue import BY_ID
@@ -60,18 +66,65 @@ def test_light_that_walks_differs_between_two_sweeps_by_what_it_walked_in_betwee
     times_s = [(one[[k]], two[[9 - k]]) for k in range(10)]
     columns = field_changing(times_s, sweeps, np.concatenate([one, two])).columns
     found = columns @ columns.T / FIELD_CHANGE**2
-    steps = np.arange(20.0)
+    # The pause between them counts as the fifty acquisitions that it would have had.
+    steps = np.concatenate([one, two])
     walk = np.minimum.outer(steps, steps)
     apart = np.zeros((10, 20))
     apart[np.arange(10), np.arange(10)], apart[np.arange(10), 19 - np.arange(10)] = 1, -1
     # In addition, all of one sweep may differ from the other.
     assert found == pytest.approx(apart @ walk @ apart.T + len(steps) / 2, abs=1e-9)
-    # What a third sweep takes between them counts as well.
-    third = np.concatenate([one, 30.0 + one, two])
+    # What a faster sweep takes between them counts as well: 41 steps in 20 seconds.
+    third = np.concatenate([one, 20.0 + 0.5 * np.arange(41.0), two])
     more = field_changing(times_s, sweeps, third).columns
-    assert (more @ more.T / FIELD_CHANGE**2 - found)[0, 0] == pytest.approx(10.0)
-    # What is 19 acquisitions apart differs by more than neighbours do.
+    assert (more @ more.T / FIELD_CHANGE**2)[0, 0] > found[0, 0] + 20
+    # What is 69 acquisitions apart differs by more than what is 51 apart.
     assert found[0, 0] - found[9, 9] == pytest.approx(18.0)
+
+
+def test_acquisitions_are_counted_and_pauses_as_if_there_were_some() -> None:
+    at = np.arange(10.0)
+    assert acquired_until(np.array([2.0, 5.0, 9.0]), at) == pytest.approx([0, 3, 7])
+    # An hour without any, and what is before the first and after the last.
+    late = np.array([-5.0, 0.0, 4.0, 3604.0, 3609.0, 3619.0])
+    steps = acquired_until(late, np.concatenate([at[:5], 3600.0 + at]))
+    assert steps == pytest.approx([0, 5, 9, 3609, 3614, 3624])
+    # No step of a sweep has a lock that is known: those of light at rest are 0.4 s apart.
+    assert acquired_until(np.array([10.0, 30.0]), np.zeros(0)) == pytest.approx([0, 50])
+
+
+def _still(turns=(), likeness=1.0, begun_s=(0.0, 100.0), ratios=(0.0,)):
+    return SimpleNamespace(
+        clamping=0, frame_ratio=np.array(ratios), frame_scatter=1e-5,
+        likeness=np.array([[1.0, likeness], [likeness, 1.0]]), likeness_error=1e-5,
+        run_time_s=np.array(begun_s),
+    )  # fmt: skip
+
+
+def test_speckle_may_have_changed_by_what_time_went_by() -> None:
+    """Whether or not the acquisitions in between have a lock that is known."""
+    sweep_s = 10.0 + 0.4 * np.arange(184)
+    errors = [
+        stability_group([_still(begun_s=(0.0, 90.0))], acquired_s).errors.noise[-1]
+        for acquired_s in (sweep_s, np.zeros(0))
+    ]
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
+    pause = stability_group([_still(begun_s=(0.0, 3600.0))], sweep_s).errors.noise[-1]
+    assert pause / errors[0] == pytest.approx(3600 / 90, rel=0.05)
+
+
+def test_few_acquisitions_do_not_show_how_a_laser_flickers() -> None:
+    """An ordinary laser scatters by 0.2 %; one ratio of frames is no measure of it."""
+    one = stability_group([_still(ratios=(0.004,))], np.zeros(0))
+    assert abs(one.whitened_residual(BenchParameters())[0]) < 2.5
+    three = stability_group([_still(ratios=(0.002, 0.002, 0.002))], np.zeros(0))
+    assert abs(three.whitened_residual(BenchParameters())[0]) < 2.5
+    # Many that agree are a quiet laser, and a common ratio a fault.
+    rng = np.random.default_rng(1)
+    many = 0.004 + 1e-4 * rng.standard_normal(16)
+    assert (
+        stability_group([_still(ratios=many)], np.zeros(0)).whitened_residual(BenchParameters())[0]
+        > 50
+    )
 
 
 def test_brightness_that_walks_is_as_uncertain_as_walks_make_it() -> None:

@@ -32,7 +32,8 @@ instruments:
   generator: {{driver: simulated, step: 1 uHz}}
   camera:
     {{driver: simulated, width: {rows}, height: {rows}, pixel: 6.7 um, bits: 12,
-      max_frame_rate: 12.5 Hz}}
+      max_frame_rate: 12.5 Hz,
+      data_sheet: {{offset_dn: 50, gain_e_dn: 4, read_noise_e: 12, full_well_e: 16000}}}}
 optics:
   {{wavelength: 650 nm, distance: 0.8 m, reed_centre: {{y: 22 mm, x: 0 mm}}}}
 limits: {{volts_are: peak, volts_min: 0 V, volts_max: 16 V, drive_min: 20 Hz, drive_max: 20 kHz}}

@@ -118,8 +118,8 @@ class CameraSensor(InstrumentEntry):
     max_frame_rate_hz: Annotated[Frequency, Field(alias="max_frame_rate", gt=0)]
     """Highest frame rate of the whole sensor."""
     data_sheet: DataSheet | None = None
-    """Nominal values of the sensor. Without this key, the sensor of the paper. A diagnosis expects
-    that a specimen differs from them."""
+    """Nominal values of the sensor. A diagnosis expects that a specimen differs from them a
+    little. Without this key it hardly knows what the camera should do."""
 
 
 class Instruments(Section):

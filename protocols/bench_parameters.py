@@ -71,10 +71,19 @@ def _drive(resonances_hz: tuple[float, ...]) -> Drive:
 
 
 def sensor_of_camera(camera: CameraSensor) -> Sensor:
-    """Return the sensor of a camera, nominal in what its data sheet does not say."""
+    """Return the sensor of a camera, nominal in what its data sheet does not say.
+
+    Without a data sheet, its digital numbers are taken to cover the full well as those of the
+    paper's camera do.
+    """
     shape, pixel_m, sheet = (camera.height, camera.width), float(camera.pixel_m), camera.data_sheet
     nominal = Sensor(shape=shape, pixel_m=pixel_m, bits=camera.bits)
-    return replace(nominal, **sheet.model_dump()) if sheet else nominal
+    if sheet:
+        return replace(nominal, **sheet.model_dump())
+    finer = 2.0 ** (camera.bits - Sensor().bits)
+    return replace(
+        nominal, gain_e_dn=nominal.gain_e_dn / finer, offset_dn=nominal.offset_dn * finer
+    )
 
 
 def known_effects(bench: BenchFile | None) -> Mapping[str, Sizes]:

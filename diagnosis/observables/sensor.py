@@ -1,6 +1,8 @@
 """Frames without fringes: camera, vignetting, local oscillator."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -15,20 +17,32 @@ from diagnosis.observable_groups import (
     observable_group,
 )
 from diagnosis.observable_source import GroupSource
-from diagnosis.readings.camera import DarkFrames, FlatFrames, LocalOscillatorFrames, half_m
+from diagnosis.readings.camera import (
+    DarkFrames,
+    FlatFrames,
+    LocalOscillatorFrames,
+    half_m,
+    paraboloid,
+)
 from diagnosis.readings.campaign_readings import Readings
 from holography.arrays import Array
 from physics.mechanics import ReedSolver
+from physics.optics import vignette_profile
 from physics.parameters.disorder import BY_NAME
 from physics.parameters.optics import Illumination
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters
 
+# Beams that are kept. Chosen: some kilobytes.
+_KEPT = 256
 # Black levels are set by whoever sets up a camera: the data sheet says where they usually are.
 _OFFSET_DN = 10.0
 # Data sheets state typical values: of read noise and gain, specimens differ by this in the log.
 # EMVA 1288 sheets of one type of camera differ by 10 to 30 %, and by 5 to 10 %.
 _READ_NOISE, _GAIN = 0.25, 0.1
+# ... and of any cameras: in the log, and of the black level as a share of the range. Full wells
+# have 5 to 50 thousand electrons, read noise 1.5 to 30; black levels are 0 to 5 %.
+_ANY_READ_NOISE, _ANY_GAIN, _ANY_OFFSET = 1.0, 1.0, 0.02
 # Rows and columns of ordinary cameras have up to this share of the read noise in common.
 _ROW_NOISE = BY_NAME["row_noise"].ordinary.high / BY_NAME["read_noise"].ordinary.low
 # Pixels that are hot though nothing is wrong: data sheets of CCDs admit one in a thousand.
@@ -49,9 +63,41 @@ _LO_SHIFT_M, _LO_WAIST, _DUST = 1e-3, 0.5, 3e-3
 # How well frames measure what is the camera's own: black levels wander by a tenth of a digital
 # number within minutes; noise is neither quite Gaussian nor evenly rounded. Chosen.
 _WANDER_DN, _NOISE_LAW = 0.1, 0.01
+# Least share of the variance of lit pixels that shot noise is taken to have. Chosen.
+_LEAST_SHOT = 0.1
+# Most rows and columns in which a smooth beam is computed. Chosen: its paraboloid is then the same
+# to a thousandth.
+_COARSE = 128
 
 
-def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
+@dataclass(frozen=True)
+class Specimens:
+    """Standard deviations by which cameras differ from what is expected of one.
+
+    Attributes
+    ----------
+    offset_dn : float
+    log_gain, log_read_noise : float
+    source : str
+    """
+
+    offset_dn: float = _OFFSET_DN
+    log_gain: float = _GAIN
+    log_read_noise: float = _READ_NOISE
+    source: str = "EMVA 1288 data sheets"
+
+    @classmethod
+    def of(cls, readings: Readings) -> "Specimens":
+        """Return those of cameras with a data sheet, or of all."""
+        if readings.data_sheet:
+            return cls()
+        offset_dn = _ANY_OFFSET * 2.0**readings.nominal.sensor.bits
+        return cls(offset_dn, _ANY_GAIN, _ANY_READ_NOISE, "data sheets of many cameras")
+
+
+def dark_group(
+    dark: DarkFrames, sensor: Sensor, specimens: Specimens = Specimens()
+) -> ObservableGroup:
     """Compare dark frames with the data sheet."""
 
     def predict(parameters: BenchParameters) -> Array:
@@ -76,12 +122,12 @@ def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
     measured = np.array([_WANDER_DN, 0.5 * noise, 1.0, *lines])
     # The mean of a row has the noise of its pixels less than what they have in common.
     common = [np.log1p(length * _ROW_NOISE**2) for length in (columns, rows)]
-    camera = "EMVA 1288 data sheets"
+    camera, of_noise = specimens.source, np.hypot(specimens.log_read_noise, specimens.log_gain)
     errors = Errors(
         measured,
         (
-            _own("black level", [_OFFSET_DN, 0, 0, 0, 0], "set by hand"),
-            _own("noise of the camera", [0, np.hypot(_READ_NOISE, _GAIN), 0, 0, 0], camera),
+            _own("black level", [specimens.offset_dn, 0, 0, 0, 0], "set by hand"),
+            _own("noise of the camera", [0, of_noise, 0, 0, 0], camera),
             _own("hot pixels of the camera", [0, 0, np.sqrt(_HOT * dark.pixels), 0, 0], camera),
             _own("noise in common", [0, 0, 0, *common], BY_NAME["row_noise"].ordinary.source),
         ),
@@ -92,14 +138,23 @@ def dark_group(dark: DarkFrames, sensor: Sensor) -> ObservableGroup:
     )
 
 
-def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> ObservableGroup:
+def flat_group(
+    flat: FlatFrames,
+    dark: DarkFrames | None,
+    sensor: Sensor,
+    specimens: Specimens = Specimens(),
+) -> ObservableGroup:
     """Compare frames of even light with a linear camera."""
     order = np.argsort(flat.exposure_s)
     signal = flat.signal_dn[order]
     rate = np.log(signal / flat.exposure_s[order])
     full_dn = sensor.full_well_e / sensor.gain_e_dn
+    # Of a camera without dark frames the read noise is known as its sheet says it, and less than
+    # all noise that light has.
     noise_dn = dark.noise_dn if dark else sensor.read_noise_e / sensor.gain_e_dn
-    gain = float(np.log(np.mean(signal / (flat.variance_dn[order] - noise_dn**2))))
+    shot = np.maximum(flat.variance_dn[order] - noise_dn**2, _LEAST_SHOT * flat.variance_dn[order])
+    gain = float(np.log(np.mean(signal / shot)))
+    unsure = 0.0 if dark else 2 * specimens.log_read_noise * float(np.max(noise_dn**2 / shot))
 
     def predict(parameters: BenchParameters) -> Array:
         bends = parameters.sensor.nonlinearity
@@ -135,13 +190,31 @@ def flat_group(flat: FlatFrames, dark: DarkFrames | None, sensor: Sensor) -> Obs
         Coordinates("tilt of the light", region="rows"),
         Coordinates("tilt of the light", region="columns"),
     ]
-    errors = _flat_errors(flat, signal, full_dn)
+    errors = _flat_errors(flat, signal, full_dn, specimens)
+    if dark is None:
+        by_offset = _by_offset(flat, signal, shot, full_dn)
+        columns = np.stack([specimens.offset_dn * by_offset, np.zeros(len(by_offset))], axis=1)
+        columns[len(signal), 1] = unsure
+        source = "no dark frames: set by hand"
+        own = GroupNuisances("black level and read noise", columns, DISORDER, source)
+        errors = replace(errors, nuisances=(*errors.nuisances, own))
     return observable_group(
         "even light", Observable.SENSOR, values, errors, places, ("sensor", "optics"), predict
     )
 
 
-def _flat_errors(flat: FlatFrames, signal: Array, full_dn: float) -> Errors:
+def _by_offset(flat: FlatFrames, signal: Array, shot: Array, full_dn: float) -> Array:
+    """Return the derivatives (n,) of the numbers of `flat_group` by the offset, 1/dn.
+
+    A black level that is higher than it was taken to be makes all light as much weaker.
+    """
+    rates = -1 / signal[1:] + 1 / signal[0]
+    whole = float(np.mean(signal))
+    gain = -float(np.mean(1 / shot) / np.mean(signal / shot))
+    return np.array([*rates, 1 / whole, gain, flat.corner / whole, *(flat.tilt / whole)])
+
+
+def _flat_errors(flat: FlatFrames, signal: Array, full_dn: float, specimens: Specimens) -> Errors:
     """Return errors of the numbers of `flat_group`, from the shortest exposure to the longest."""
     several = len(signal) - 1
     # Within an exposure, the lamp flickers from frame to frame as the means of frames show.
@@ -160,7 +233,11 @@ def _flat_errors(flat: FlatFrames, signal: Array, full_dn: float) -> Errors:
             GroupNuisances("drift of the lamp", drifts, DISORDER, "lamps that are not regulated"),
             GroupNuisances("bend", bends, DISORDER, BY_NAME["nonlinearity"].ordinary.source),
             _own("pattern of the camera", [*linear, _PATTERN_SPREAD, 0, 0, 0, 0], "data sheets"),
-            _own("gain of the camera", [*linear, 0, _GAIN, 0, 0, 0], "EMVA 1288 data sheets"),
+            _own(
+                "gain of the camera",
+                [*linear, 0, specimens.log_gain, 0, 0, 0],
+                specimens.source,
+            ),
             _own(
                 "evenness of the lamp",
                 [*linear, 0, 0, *[_UNEVEN] * 3],
@@ -186,30 +263,53 @@ def _filled(shown: Array, bends: float) -> Array:
     return filled
 
 
-def local_oscillator_group(beam: LocalOscillatorFrames, sensor: Sensor) -> ObservableGroup:
-    """Compare the local oscillator with a Gaussian beam centred on the sensor."""
+def local_oscillator_group(
+    beam: LocalOscillatorFrames,
+    sensor: Sensor,
+    *,
+    offset_dn: float = 0.0,
+) -> ObservableGroup:
+    """Compare the local oscillator with a Gaussian beam centred on the sensor.
+
+    Parameters
+    ----------
+    beam : LocalOscillatorFrames
+    sensor : Sensor
+    offset_dn : float, optional
+        Standard error of the digital number of a dark pixel.
+    """
     halves, usual = half_m(sensor), Illumination().local_oscillator_waist_m
+    rows, columns = (min(count, _COARSE) for count in sensor.shape)
+    coarse = replace(sensor, shape=(rows, columns))
+
+    @lru_cache(maxsize=_KEPT)
+    def shown(light: Illumination) -> Array:
+        y, x = (
+            half * np.linspace(-1, 1, count) - shift
+            for half, count, shift in zip(
+                halves, (rows, columns), light.local_oscillator_shift_m, strict=True
+            )
+        )
+        image = np.exp(-2 * np.add.outer(y**2, x**2) / light.local_oscillator_waist_m**2)
+        vignette = vignette_profile(light, coarse)
+        _, found = paraboloid(image if vignette is None else image * vignette)
+        return np.array([*found[1:], found[0]])
 
     def predict(parameters: BenchParameters) -> Array:
-        light = parameters.optics.illumination
-        waist_m = light.local_oscillator_waist_m
-        tilt = [
-            4 * shift * half / waist_m**2
-            for shift, half in zip(light.local_oscillator_shift_m, halves, strict=True)
-        ]
-        corner = -2 * sum(half**2 for half in halves) / waist_m**2 - light.vignette
-        return np.array([*tilt, corner])
+        return shown(parameters.optics.illumination)
 
     values = [*beam.tilt, beam.bend]
     corner = sum(half**2 for half in halves)
     usual_bend = 2 * corner / usual**2
     # A beam out of the middle tilts by the more the narrower it is, which the corners show.
     narrow = max(-beam.bend, usual_bend) / (2 * corner)
-    columns = np.diag(
+    by_hand = np.diag(
         [*(4 * _LO_SHIFT_M * half * narrow for half in halves), 2 * _LO_WAIST * usual_bend]
     )
-    placed = GroupNuisances("placement of the beam", columns, DISORDER, "by eye: chosen")
-    errors = Errors(np.full(len(values), _DUST), (placed,))
+    placed = GroupNuisances("placement of the beam", by_hand, DISORDER, "by eye: chosen")
+    dark = offset_dn / beam.signal_dn * np.array(values)[:, None]
+    black = GroupNuisances("black level", dark, DISORDER, "no dark frames: set by hand")
+    errors = Errors(np.full(len(values), _DUST), (placed, black) if offset_dn else (placed,))
     places = [
         Coordinates("middle", region="rows"),
         Coordinates("middle", region="columns"),
@@ -221,16 +321,23 @@ def local_oscillator_group(beam: LocalOscillatorFrames, sensor: Sensor) -> Obser
 
 
 def _dark(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return dark_group(readings.dark, readings.nominal.sensor) if readings.dark else None
+    if readings.dark is None:
+        return None
+    return dark_group(readings.dark, readings.nominal.sensor, Specimens.of(readings))
 
 
 def _flat(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    flat = readings.flat
-    return flat_group(flat, readings.dark, readings.nominal.sensor) if flat else None
+    if readings.flat is None:
+        return None
+    sensor, specimens = readings.nominal.sensor, Specimens.of(readings)
+    return flat_group(readings.flat, readings.dark, sensor, specimens)
 
 
 def _lo(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return local_oscillator_group(readings.lo, readings.nominal.sensor) if readings.lo else None
+    if readings.lo is None:
+        return None
+    offset_dn = 0.0 if readings.dark else Specimens.of(readings).offset_dn
+    return local_oscillator_group(readings.lo, readings.nominal.sensor, offset_dn=offset_dn)
 
 
 SOURCES: Final = (GroupSource(1, _dark), GroupSource(2, _flat), GroupSource(3, _lo))

@@ -50,6 +50,8 @@ class Readings:
         Frames per second.
     nominal : BenchParameters
         Of this bench and this kind of reed, without effects.
+    data_sheet : bool
+        Whether the bench file has the data sheet of the camera.
     extra : mapping
         What modules of `diagnosis.observables` read by themselves, by the names of their sources.
     """
@@ -65,6 +67,7 @@ class Readings:
     missing: tuple[str, ...]
     rate_hz: float
     nominal: BenchParameters
+    data_sheet: bool = True
     extra: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -147,9 +150,10 @@ def read_unfitted(campaign: Campaign, bench: BenchFile | None = None) -> Reading
         beat=read_step_log(campaign.sweeps),
         sweeps=(),
         refused=(),
-        missing=tuple(_missing(campaign, (), saturated=bool(flat_parts) and flat is None)),
+        missing=tuple(_missing(campaign, bench, (), saturated=bool(flat_parts) and flat is None)),
         rate_hz=float(first.frame_rate_hz),
         nominal=nominal,
+        data_sheet=_has_data_sheet(bench),
     )
 
 
@@ -164,13 +168,25 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
         readings,
         sweeps=tuple(sweeps),
         refused=tuple(refused),
-        missing=tuple(_missing(campaign, sweeps, saturated=saturated)),
+        missing=tuple(_missing(campaign, bench, sweeps, saturated=saturated)),
     )
 
 
-def _missing(campaign: Campaign, sweeps: Sequence[SweepReading], *, saturated: bool) -> list[str]:
+def _has_data_sheet(bench: BenchFile | None) -> bool:
+    return bench is not None and bench.instruments.camera.data_sheet is not None
+
+
+def _missing(
+    campaign: Campaign,
+    bench: BenchFile | None,
+    sweeps: Sequence[SweepReading],
+    *,
+    saturated: bool,
+) -> list[str]:
     """Return what would improve the diagnosis: missing runs, and what the others do not show."""
     missing = campaign.missing
+    if not _has_data_sheet(bench):
+        missing.append("instruments.camera.data_sheet of the bench file (gain, read noise, offset)")
     if saturated:
         missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
     for sweep in sweeps:

@@ -84,12 +84,16 @@ def test_what_is_wrong_is_named_with_its_remedy(known: str, said: str) -> None:
 
 def test_a_camera_is_as_its_data_sheet_says() -> None:
     sheet = "{offset_dn: 20, gain_e_dn: 2.0, read_noise_e: 5.0, full_well_e: 30000}"
-    described = BenchFile.from_text(
-        TEXT.replace("max_frame_rate: 12.5 Hz", f"max_frame_rate: 12.5 Hz\n    data_sheet: {sheet}")
-    )
-    sensor = sensor_of(described, RUN)
+    shipped = next(line for line in TEXT.splitlines() if "data_sheet:" in line)
+    sensor = sensor_of(BenchFile.from_text(TEXT.replace(shipped, f"    data_sheet: {sheet}")), RUN)
     assert (sensor.shape, sensor.pixel_m, sensor.read_noise_e) == ((64, 96), 5e-6, 5.0)
     assert sensor_of(None, RUN).read_noise_e == Sensor().read_noise_e
+    # Without it, digital numbers cover the full well, however many there are.
+    for bits in (8, 12, 16):
+        unknown = TEXT.replace(f"{shipped}\n", "").replace("bits: 12", f"bits: {bits}")
+        sensor = sensor_of(BenchFile.from_text(unknown), RUN)
+        full_dn = sensor.offset_dn + sensor.full_well_e / sensor.gain_e_dn
+        assert full_dn / 2**bits == pytest.approx(4050 / 4096)
 
 
 def test_a_run_without_a_readable_bench_says_nothing_of_it() -> None:

@@ -9,7 +9,12 @@ import pytest
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from diagnosis.observables.brightness import brightness_group
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.drive import excitation_group, force_group, level_group
+from diagnosis.observables.drive import (
+    _mean_drive,
+    excitation_group,
+    force_group,
+    level_group,
+)
 from diagnosis.observables.frequency_lock import lock_group, lock_scatter_hz
 from diagnosis.observables.light import fringe_group, mixing_in, noise_group
 from diagnosis.observables.modes import modes_group
@@ -25,6 +30,7 @@ from fitting.holograms.block_amplitudes import _holograms
 from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 from physics.reed.geometry import ReedGeometry
+from protocols.bench import BenchFile
 from runs.verdict import Verdict
 
 NO_LEAKS = Leaks({}, 0.0)
@@ -191,6 +197,25 @@ def test_frequencies_that_differ_by_what_a_generator_misses_are_one() -> None:
     assert len(level.values) == 12
 
 
+@pytest.mark.parametrize("step_hz", [5.0, 10.0, 25.0])
+def test_steps_of_one_sweep_are_never_one_however_narrow_they_are(step_hz: float) -> None:
+    hz = np.arange(9000.0, 12000.0, step_hz)
+    drive = 0.3 * np.sin(hz / 100)
+    fine = [
+        sweep(name, hz, volts=16.0, log_drive=drive, log_drive_covariance=np.diag(0 * hz))
+        for name in ("up", "down")
+    ]
+    found, mean, _, _ = _mean_drive(fine)
+    assert found == pytest.approx(hz)
+    assert mean == pytest.approx(drive)
+    # A generator that is two millionths off plays the same frequencies.
+    fine[1] = sweep(
+        "down", hz * (1 + 2e-6), volts=16.0, log_drive=drive,
+        log_drive_covariance=np.diag(0 * hz),
+    )  # fmt: skip
+    assert len(_mean_drive(fine)[0]) == len(hz)
+
+
 def test_sweeps_at_other_frequencies_tell_no_lines_and_no_levels() -> None:
     between = STEPS_HZ * 2 ** (1 / 96)
     up, quiet = sweep(volts=16.0), sweep("quiet", between, volts=4.0)
@@ -220,12 +245,14 @@ def test_sweeps_without_common_modes_tell_none() -> None:
 
 def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
     sweeps = [sweep(), sweep("high", names=("X7", "X8", "F1")), sweep("down")]
-    found = _missing(SimpleNamespace(missing=["dark frames"]), sweeps, saturated=True)
+    found = _missing(SimpleNamespace(missing=["dark frames"]), None, sweeps, saturated=True)
     assert found[0] == "dark frames"
-    assert found[1].startswith("flat frames that are not saturated")
-    assert found[2].startswith("modes of high")
-    assert len(found) == 3
-    assert _missing(SimpleNamespace(missing=[]), sweeps[:1], saturated=False) == []
+    assert found[1].startswith("instruments.camera.data_sheet")
+    assert found[2].startswith("flat frames that are not saturated")
+    assert found[3].startswith("modes of high")
+    assert len(found) == 4
+    bench = BenchFile.from_file()
+    assert _missing(SimpleNamespace(missing=[]), bench, sweeps[:1], saturated=False) == []
 
 
 def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:

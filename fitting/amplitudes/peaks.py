@@ -125,9 +125,9 @@ def mode_amplitudes(
     that are not exactly those of the finite elements. It adds this move to the displacements, so
     that a turn of their phase by 0.1 rad increases them by 0.5 %. The holograms alone determine
     their size better: the mode is scaled by what the move has done at its largest point, in the
-    hologram nearest to its resonance. The error comes from the covariance of the modal fit, from
-    the common-mode error of the holograms, from the place of the reed in the image, and from the
-    continuation to the contour.
+    explained hologram nearest to its resonance. The error comes from the covariance of the modal
+    fit, from the common-mode error of the holograms, from the place of the reed in the image, and
+    from the continuation to the contour.
 
     Parameters
     ----------
@@ -138,15 +138,19 @@ def mode_amplitudes(
     """
     found, modal, functions = fit.displacements, fit.modal, points.functions
     log_hz, answer = np.log(fit.block_amplitudes.drive_hz), {}
+    explained = found.reached & np.any(found.information, axis=(1, 2)) & ~modal.off
+    # If none is, no mode is identified.
+    unlikely = np.where(explained | ~explained.any(), 0.0, np.inf)
     for a, name in enumerate(fit.names):
         moved = functions @ modal.resonant.amplitude_rad[a]
         top = int(np.abs(moved).argmax())
-        nearest = int(np.abs(log_hz - np.log(modal.hz[a])).argmin())
+        nearest = int((np.abs(log_hz - np.log(modal.hz[a])) + unlikely).argmin())
         here = functions[top] @ found.amplitude_rad[nearest]
         response = found.common_mode.response[nearest]
         real, imaginary = np.split(response @ modal.common_mode_shift[nearest], 2)
         there = here + functions[top] @ (real + 1j * imaginary)
-        rad = abs(moved[top]) * abs(here) / max(abs(there), 1e-12)
+        # What nothing shows is as the modal fit has it.
+        rad = abs(moved[top]) * (abs(here) / abs(there) if here and there else 1.0)
         by = _along(np.array([here]), functions[top : top + 1])[0]
         common = by @ response / max(abs(here) ** 2, 1e-12)
         own = functions[top] @ modal.resonant.covariance[a] @ functions[top]

@@ -82,7 +82,8 @@ def components_over_density(
 ) -> Array:
     """Return components (c,) of cane of the drawing's density whose moduli are most similar.
 
-    The logarithms of both storage moduli are compared, at given frequencies in each series.
+    The logarithms of both storage moduli are compared, at given frequencies in each series. Cane
+    that has none, because it is impossible, keeps its components.
 
     Parameters
     ----------
@@ -91,6 +92,11 @@ def components_over_density(
         See `moduli_mpa`.
     frequencies_hz : mapping of (n,) float
     """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return _most_similar(values, shift, frequencies_hz)
+
+
+def _most_similar(values: Array, shift: CaneShift, frequencies_hz: Mapping[Series, Array]) -> Array:
     aim = _log_moduli(values, shift, frequencies_hz)
     near, none = values, CaneShift()
     for _ in range(_STEPS if shift != none else 0):
@@ -104,6 +110,8 @@ def components_over_density(
             for d in steps
         ]
         missing = aim - _log_moduli(near, none, frequencies_hz)
+        if not np.isfinite([missing, *slopes]).all():
+            return values
         near = near + np.linalg.lstsq(np.stack(slopes, axis=1), missing, rcond=None)[0]
     return near
 

@@ -32,6 +32,8 @@ COMPONENTS = ("e1", "e2", "e3", "e4")
 _LEAST_SIMILARITY = 0.85
 # Limits of the components, in standard deviations of the population.
 _FARTHEST_SD = 6.0
+# Standard error of components of which resonances say nothing. Chosen: far more than reeds differ.
+_UNKNOWN_SD = 100.0
 # A component this close to a limit is at the limit.
 _AT_LIMIT_SD = 1e-3
 # Step of numeric derivatives, small next to how components bend frequencies and large next to the
@@ -325,7 +327,8 @@ def _least_squares(problem: _Problem) -> tuple[Array, Array, float, float]:
             residual, taken = squares(values)
             if abs(misfit - before) < _MISFIT_SETTLED * misfit:
                 break
-    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    # Where the model ends, components change nothing: they are unknown then.
+    covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(values)) / _UNKNOWN_SD**2)
     positive = problem.count + np.flatnonzero(problem.positive)
     return *_never_negative(values, covariance, positive), chi2, misfit
 

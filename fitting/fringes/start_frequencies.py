@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fitting.errors import FitError
 from fitting.forward import ForwardModel, cents_of, viscoelastic_cents
 from fitting.fringes.fringe_peaks import FringeCurves, likely_components, pick_fringe_peaks
 from fitting.holograms.block_amplitudes import BlockAmplitudes
@@ -38,6 +39,8 @@ _MISFIT_CENTS = 60.0
 # A hologram of large amplitude is assigned to a mode if the cane fitted to all of them agrees
 # within this fraction of the distance to the next mode of that symmetry, within limits.
 _ROOM, _AGREE_CENTS = 0.4, (80.0, 300.0)
+# Fewest holograms in which a peak can be: it has a neighbour on either side.
+_FEWEST = 3
 
 
 def middling_shapes(
@@ -68,13 +71,22 @@ def start_frequencies(
 
     The holograms with the largest amplitudes of the paper's modes determine the cane, and the cane
     determines all other modes. A mode that is larger than all others at its own peak starts there,
-    because a reed need not have the nominal shape of its kind.
+    because a reed need not have the nominal shape of its kind. Holograms whose displacement was
+    not found do not count.
+
+    Raises
+    ------
+    FitError
+        If no mode lies in the sweep.
     """
-    look = basis.hz < _LOOK_HZ
-    modal = np.abs(displacements.amplitude_rad @ np.linalg.pinv(basis.shapes[look]))
+    look, reached = basis.hz < _LOOK_HZ, displacements.reached
+    if np.count_nonzero(reached) < _FEWEST:
+        reached = np.ones(len(reached), dtype=bool)
+    drive_hz, indices = block_amplitudes.drive_hz[reached], block_amplitudes.step_index[reached]
+    modal = np.abs(displacements.amplitude_rad[reached] @ np.linalg.pinv(basis.shapes[look]))
     names = [name for name, counts in zip(basis.names, look, strict=True) if counts]
     weighty = _outweighing(modal * np.linalg.norm(basis.shapes[look], axis=1), names)
-    curves = FringeCurves(block_amplitudes.drive_hz, block_amplitudes.step_index, modal, names)
+    curves = FringeCurves(drive_hz, indices, modal, names)
     picked = pick_fringe_peaks(
         curves,
         model,
@@ -100,7 +112,7 @@ def start_frequencies(
     for name in expected:
         if name not in PAPER_MODES or name not in paper_cents:
             continue
-        seen_hz = [block_amplitudes.drive_hz[k] for k in weighty[name]]
+        seen_hz = [drive_hz[k] for k in weighty[name]]
         if name in picked:
             seen_hz.append(picked[name].frequency_hz)
         # A peak may belong to another mode or to the excitation: it is used if the cane agrees.
@@ -108,7 +120,13 @@ def start_frequencies(
         if apart and min(apart) < _room_cents(name, paper_cents):
             starts[name] = float(seen_hz[int(np.argmin(apart))])
     first, last = block_amplitudes.drive_hz[0], block_amplitudes.drive_hz[-1]
-    return {n: hz for n, hz in starts.items() if first / _BELOW < hz < last * _ABOVE}
+    within = {n: hz for n, hz in starts.items() if first / _BELOW < hz < last * _ABOVE}
+    if not within:
+        raise FitError(
+            f"no mode of this kind of reed lies between {first:.0f} and {last:.0f} Hz, where the "
+            "sweep is; sweep a wider range"
+        )
+    return within
 
 
 def _outweighing(weight: Array, names: Sequence[str]) -> dict[str, list[int]]:

@@ -266,7 +266,8 @@ def _finish(
     shared = posterior.shared(len(state.shared))
     # The first values are no error of the light.
     of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
-    count, resonant = len(model.active), resonant_displacements(model, prior, state, now, posterior)
+    count, off = len(model.active), _off(displacements, end.noise)
+    resonant = resonant_displacements(model, prior, state, now, posterior, off)
     follow = influence(best, resonant)
     spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
     own_hz, own_loss = np.exp(logs.reshape(2, -1))
@@ -305,7 +306,7 @@ def _finish(
         resonant=resonant,
         log_drive_covariance=_mixture(weights, magnitudes)[1],
         drive_forms=_drive_forms(optima, weights),
-        off=_off(displacements, end.noise),
+        off=off,
         state=state,
     ).with_errors(_by_other_changes(displacements, end, follow))
 

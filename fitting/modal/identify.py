@@ -64,6 +64,9 @@ _MOST_TURNS = 8
 # Shear of wood loses up to twice as much as bending (Labonnote et al., Wood Sci. Technol. 47, 1033,
 # 2013). What loses more than that, against the others, is two resonances (decision 0077).
 _MOST_LOSS = 2.0
+# Log frequency from a mode to the end of outliers that may hide its resonance: three semitones, as
+# far as a mode is sought from where it is expected (`fitting.fringes.start_frequencies`).
+_BESIDE = 300 * _CENT
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
 # ... and discrepancy of the model: 0.02 for shape errors of 10 µm, 0.2 for reeds of another kind.
@@ -405,13 +408,14 @@ def _hidden(sweep: MeasuredSweep) -> dict[int, tuple[float, float]]:
     has then put a mode where there is none.
     """
     hz, found = sweep.block_amplitudes.drive_hz, dict[int, tuple[float, float]]()
-    outlier = sweep.modal.off & np.any(sweep.displacements.information, axis=(1, 2))
-    steps = np.flatnonzero(outlier)
+    steps = np.flatnonzero(sweep.modal.off)
     for run in np.split(hz[steps], np.flatnonzero(np.diff(steps) > 1) + 1):
         if len(run) and run[-1] > run[0] * (1 + LOSS):
             middle_hz = np.sqrt(run[0] * run[-1])
-            nearest = int(np.abs(np.log(sweep.modal.hz / middle_hz)).argmin())
-            found[nearest] = float(run[0]), float(run[-1])
+            away = np.abs(np.log(sweep.modal.hz / middle_hz))
+            nearest = int(away.argmin())
+            if away[nearest] < 0.5 * np.log(run[-1] / run[0]) + _BESIDE:
+                found[nearest] = float(run[0]), float(run[-1])
     return found
 
 
@@ -470,16 +474,19 @@ def _resonance(sweep: MeasuredSweep, m: int, name: str, naming: ModeNaming) -> R
         assumed = float(basis.stiffening[basis.names.index(modal.names[m])])
         loss_factor *= naming.stiffening.loss_ratio(assumed)
         loss_error = float(np.hypot(loss_error, naming.stiffening.loss_error))
-    nearest = int(np.abs(np.log(block_amplitudes.drive_hz / hz)).argmin())
+    # The drive of an outlier is as wrong as its displacement.
+    sure = np.flatnonzero(~modal.off) if not modal.off.all() else np.arange(len(modal.off))
+    drive_hz, moved_rad = block_amplitudes.drive_hz[sure], np.abs(modal.modal_rad[sure, m])
+    nearest = int(np.abs(np.log(drive_hz / hz)).argmin())
     participation = np.abs(modal.participation)
     return Resonance(
         name=name,
         frequency_hz=hz,
         error_cents=float(modal.error_cents[m]),
-        step_index=int(block_amplitudes.step_index[nearest]),
-        amplitude_rad=float(np.abs(modal.modal_rad[nearest, m])),
+        step_index=int(block_amplitudes.step_index[sure[nearest]]),
+        amplitude_rad=float(moved_rad[nearest]),
         method=METHOD,
-        response_hz=peak_response_hz(block_amplitudes.drive_hz, np.abs(modal.modal_rad[:, m]), hz),
+        response_hz=peak_response_hz(drive_hz, moved_rad, hz),
         loss_factor=loss_factor,
         loss_error=loss_error,
         participation=float(participation[m] / participation.max()),

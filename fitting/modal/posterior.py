@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from fitting.modal.expected.prior import Prior
@@ -141,7 +142,12 @@ class ResonantDisplacements:
 
 
 def resonant_displacements(
-    model: Model, prior: Prior, state: State, now: Terms, posterior: Posterior
+    model: Model,
+    prior: Prior,
+    state: State,
+    now: Terms,
+    posterior: Posterior,
+    off: NDArray[np.bool_] | None = None,
 ) -> ResonantDisplacements:
     """Return the displacement of each mode at its resonance, with its covariance.
 
@@ -149,6 +155,9 @@ def resonant_displacements(
     logarithms of drive and participation are interpolated between the two holograms next to the
     resonance. Frequency, loss factor, participation, drive, shape and the common-mode error all add
     to the covariance.
+
+    The drive of a hologram that contradicts the modes follows its displacement, which is wrong:
+    holograms that are `off` (k,) are not interpolated between, unless hardly any other is left.
     """
     count, size = len(model.active), now.shapes.shape[1]
     powers, number = model.powers.shape[1], prior.positions
@@ -156,10 +165,13 @@ def resonant_displacements(
     log_by_drive = np.zeros((count, 2 * len(model.hz)))
     amplitude, covariance = np.zeros((count, size)), np.zeros((count, size, size))
     log_hz, moved = np.log(model.hz), now.alone * now.modal
+    sure = np.flatnonzero(~off) if off is not None else np.arange(len(log_hz))
+    if len(sure) < 2:
+        sure = np.arange(len(log_hz))
     for a, m in enumerate(model.active):
         log_f = float(np.clip(state.x[a, 2 * powers], log_hz[0], log_hz[-1]))
-        k = int(np.clip(np.searchsorted(log_hz, log_f), 1, len(log_hz) - 1))
-        pair = np.array([k - 1, k])
+        k = int(np.clip(np.searchsorted(log_hz[sure], log_f), 1, len(sure) - 1))
+        pair = sure[[k - 1, k]]
         weight = np.interp(log_f, log_hz[pair], [0.0, 1.0])
         weights = np.array([1 - weight, weight])
         logs = np.log(np.abs(moved[pair, m]))

@@ -49,12 +49,46 @@ def planted(amplitude_rad, spread_rad=0.01, shared=0.0):
     )
 
 
-def modal_of(hz, amplitude_rad, shift=0.0, variance=0.0):
+def nearby(count):
+    """A mode at 2 kHz, holograms 25 cents apart around it, each with 3 rad."""
+    fit = planted(np.tile([3.0, 0.0], (count, 1)).astype(complex), 1e-6)
+    cents = 25 * (np.arange(count) - count // 2)
+    fit.block_amplitudes.drive_hz = 2000.0 * 2 ** (cents / 1200)
+    fit.block_amplitudes.volts = np.full(count, 2.0)
+    fit.names, fit.modal = ("F1",), modal_of(2000.0, np.array([[3.0, 0.0]]), count=count)
+    return fit
+
+
+@pytest.mark.parametrize("how", ["unsolved", "unreached", "outlier"])
+def test_a_mode_does_not_depend_on_a_hologram_that_is_not_explained(how):
+    fit = nearby(5)
+    right = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
+    fit.displacements.amplitude_rad[2] = 0.0 if how == "unsolved" else 7.0
+    if how == "unsolved":
+        fit.displacements.information[2] = 0.0
+        fit.displacements.common_mode.response[2] = 0.0
+    fit.displacements.reached[2] = how == "outlier"
+    fit.modal.off[2] = how == "outlier"
+    assert mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"] == right
+
+
+def test_a_mode_in_a_sweep_that_nothing_explains_is_as_the_fit_of_modes_has_it():
+    fit = nearby(3)
+    fit.displacements.amplitude_rad[:] = 0.0
+    fit.displacements.information[:] = 0.0
+    fit.modal.off[:] = True
+    mode = mode_amplitudes(fit, POINTS, WAVELENGTH_M)["F1"]
+    assert mode.nm == pytest.approx(6 * NM_PER_RAD)
+    assert np.isfinite(mode.nm_per_v_error)
+
+
+def modal_of(hz, amplitude_rad, shift=0.0, variance=0.0, count=2):
     """Modes of a fit with one mode, whose drive scatters by 1 %."""
     return SimpleNamespace(
         hz=np.array([hz]),
-        common_mode_shift=np.full((2, 1), shift),
-        magnitude_error=np.zeros(2),
+        common_mode_shift=np.full((count, 1), shift),
+        magnitude_error=np.zeros(count),
+        off=np.zeros(count, dtype=bool),
         state=SimpleNamespace(gain=0.01),
         resonant=SimpleNamespace(
             amplitude_rad=amplitude_rad, covariance=variance * np.eye(2)[None]

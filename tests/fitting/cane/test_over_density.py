@@ -87,3 +87,15 @@ def _log_moduli(e, series, hz):
             for zener, w in zip((cane.young_L, cane.shear_LT), moved, strict=True)
         ]
     )
+
+
+def test_cane_whose_moduli_are_negative_keeps_its_components():
+    impossible = np.array([-3.0, 0.0, 2.0]) * 3
+    assert not (
+        storage_modulus_pa(
+            viscoelastic_cane(Components(*impossible), Series.A).shear_LT, HZ[Series.A]
+        )
+        > 0
+    ).all()
+    found = components_over_density(impossible, CaneShift(density=0.1), HZ)
+    np.testing.assert_array_equal(found, impossible)

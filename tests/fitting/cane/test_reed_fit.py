@@ -362,3 +362,38 @@ def test_a_formula_leaves_no_mode_out():
     parameters = fit_components(resonances(Components(), PAPER, Series), PAPER)
     assert parameters.left_out == {"A": [], "B": []}
     assert parameters.model == PAPER.name
+
+
+class _Table(PaperModel):
+    """The paper's model as a table of moduli that ends."""
+
+    def elastic_cents(self, E_L_pa, G_LT_pa):
+        return super().elastic_cents(np.clip(E_L_pa, 7e9, 22e9), np.clip(G_LT_pa, 0.4e9, 2.1e9))
+
+
+@pytest.mark.parametrize("off_cents", [-700.0, 600.0])
+def test_resonances_of_no_cane_of_the_table_end_at_a_limit(off_cents):
+    """All modes far too low or high: components beyond the table change nothing."""
+    found = resonances(
+        Components(), _Table(), offsets={(Series.A, name): off_cents for name in PAPER_MODES}
+    )
+    parameters = fit_components(found, _Table())
+    errors = np.array([each.error for each in parameters.components.values()])
+    assert np.isfinite(errors).all()
+    # Such components are said to be at a limit, or impossible, or unknown.
+    assert parameters.at_limit or not parameters.physical or errors.max() > 10
+
+
+def test_names_that_are_exchanged_end_in_numbers():
+    """Four modes of which two have each other's names, for thirty canes."""
+    rng = np.random.default_rng(11)
+    for _ in range(30):
+        names = rng.permutation(PAPER_MODES)[:5].tolist()
+        found = resonances(Components(*rng.standard_normal(3)), _Table(), only=names)
+        one, two = names[:2]
+        own = found[Series.A]
+        own[one], own[two] = (
+            replace(own[two], name=one), replace(own[one], name=two),
+        )  # fmt: skip
+        parameters = fit_components(found, _Table())
+        assert np.isfinite([each.error for each in parameters.components.values()]).all()

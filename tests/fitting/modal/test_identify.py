@@ -10,10 +10,17 @@ import pytest
 from drivers.simulated.settings import cane_of
 from fitting.cane.fit_runs import fit_runs, method_name
 from fitting.cane.residual_map import residual_map
-from fitting.errors import FitInputError
+from fitting.errors import FitError, FitInputError
 from fitting.forward import basis_of, cents_of
-from fitting.fringes.start_frequencies import _outweighing, _room_cents
-from fitting.modal.identify import _absorbed, fit_jointly, joint_fit_of, mac, with_smooth_drive
+from fitting.fringes.start_frequencies import _outweighing, _room_cents, start_frequencies
+from fitting.modal.identify import (
+    _absorbed,
+    _hidden,
+    fit_jointly,
+    joint_fit_of,
+    mac,
+    with_smooth_drive,
+)
 from fitting.modal.refit import fit_same_reed
 from fitting.names.naming import SURE, ModeNaming, name_modes, reeds_behind
 from fitting.reed_place import reed_place
@@ -258,10 +265,10 @@ def test_a_mode_that_loses_far_more_than_others_is_not_identified(sweep):
 
 
 def test_a_mode_next_to_a_run_of_outliers_is_not_identified(sweep):
-    """Its resonance may be hidden there; holograms that were never measured hide nothing."""
+    """Its resonance may be hidden there, also by holograms that no displacement explains."""
     joint, mode_hz = sweep.joint, sweep.resonances["T2"].frequency_hz
     cents = 1200 * np.log2(mode_hz / joint.block_amplitudes.drive_hz)
-    for first_cents, lost, refused in ((50, False, True), (100, False, False), (50, True, False)):
+    for first_cents, lost, refused in ((50, False, True), (100, False, False), (50, True, True)):
         run = (cents > first_cents) & (cents < 165)
         information = joint.displacements.information * np.where(run & lost, 0, 1)[:, None, None]
         displacements = replace(joint.displacements, information=information)
@@ -269,6 +276,36 @@ def test_a_mode_next_to_a_run_of_outliers_is_not_identified(sweep):
         changed = refit_of(joint, modal=modal, displacements=displacements)
         assert ("T2" in changed.not_identified) == refused
         assert {*changed.resonances, "T2"} == set(sweep.resonances)
+
+
+@pytest.mark.parametrize(("away_cents", "hides"), [(250, True), (350, False)])
+def test_a_run_of_outliers_far_from_all_modes_hides_none(away_cents, hides):
+    """Two neighbours of a coarse sweep, as far apart as a resonance is wide."""
+    drive_hz = 1000.0 * 2 ** (60 * np.arange(60) / 1200)
+    off = np.isin(np.arange(60), [30, 31])
+    # The second mode is next to the upper one of both.
+    mode_hz = np.array([drive_hz[2], drive_hz[31] * 2 ** (away_cents / 1200)])
+    coarse = SimpleNamespace(
+        block_amplitudes=SimpleNamespace(drive_hz=drive_hz),
+        modal=SimpleNamespace(off=off, hz=mode_hz),
+    )
+    assert list(_hidden(coarse)) == ([1] if hides else [])
+
+
+def test_where_the_response_is_largest_no_outlier_says(sweep):
+    """A hologram in a wrong fringe has the drive that fits it, whatever it is."""
+    joint, mode = sweep.joint, sweep.resonances["T2"]
+    own = joint.names.index("T2")
+    cents = 1200 * np.log2(joint.block_amplitudes.drive_hz / mode.frequency_hz)
+    wrong = int(np.argmin(np.abs(cents - 60)))
+    outlier = np.arange(len(cents)) == wrong
+    modal_rad = joint.modal.modal_rad.copy()
+    modal_rad[wrong, own] *= 4
+    for off, moved in ((joint.modal.off | outlier, False), (joint.modal.off, True)):
+        changed = refit_of(joint, modal=replace(joint.modal, modal_rad=modal_rad, off=off))
+        found = changed.resonances["T2"]
+        away = 1200 * np.log2(found.response_hz / mode.response_hz)
+        assert (abs(away) > 20) == moved
 
 
 def test_a_mode_above_the_last_step_is_not_identified(sweep):
@@ -347,6 +384,13 @@ def test_a_mode_may_move_up_to_the_next_of_its_symmetry():
     assert _room_cents("F2", cents) == pytest.approx(120)
     assert _room_cents("T1", cents) == 300
     assert _room_cents("F2", {"F2": 2100.0, "T2": 2150.0}) == 80
+
+
+def test_a_sweep_between_modes_says_that_there_is_none(sweep, reed, model):
+    joint = sweep.joint
+    below = replace(joint.block_amplitudes, drive_hz=joint.block_amplitudes.drive_hz / 40)
+    with pytest.raises(FitError, match="no mode of this kind of reed"):
+        start_frequencies(below, joint.basis, joint.displacements, reed, model, Series.A)
 
 
 def test_picks_that_speak_for_no_possible_cane_do_no_harm(sweep_a, sweep, true_hz, monkeypatch):

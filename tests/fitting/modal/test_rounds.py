@@ -235,10 +235,29 @@ def test_logs_follow_amplitudes_as_a_step_to_other_amplitudes_moves_them(sweep):
     )
 
 
-def resonant_at(end, posterior):
+def resonant_at(end, posterior, off=None):
     """Displacements of all modes at their resonances."""
     now = terms(end.model, end.state)
-    return resonant_displacements(end.model, end.prior, end.state, now, posterior)
+    return resonant_displacements(end.model, end.prior, end.state, now, posterior, off)
+
+
+def test_the_drive_of_an_outlier_does_not_count_for_displacements(sweep):
+    """It follows the displacement of a wrong fringe, here of half the size."""
+    model, given, state = begun(sweep)
+    end = one_round(model, given, state, NOISE_ALONE, 40)
+    posterior = Posterior.of(end.here, end.covariance, 1.0)
+    mode_hz = np.exp(end.state.x[0, 2 * model.powers.shape[1]])
+    wrong = np.arange(len(model.hz)) == np.argmin(np.abs(np.log(model.hz / mode_hz)))
+    halved = replace(end.state, log_drive=end.state.log_drive - np.log(2) * wrong)
+    sizes = [
+        np.linalg.norm(resonant_at(replace(end, state=one), posterior, off).amplitude_rad[0])
+        for one in (end.state, halved)
+        for off in (None, wrong)
+    ]
+    assert sizes[2] < 0.8 * sizes[0]
+    assert sizes[3] == pytest.approx(sizes[1])
+    # Interpolated between its neighbours, it is the same within some per cent.
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
 
 
 def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):

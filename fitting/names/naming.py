@@ -139,20 +139,28 @@ def name_modes(
     probabilities = _averaged_names(reeds, found, weights)
     labels = [names[m] for m in found[0].measured.index]
     choices = named(dict(zip(labels, probabilities, strict=True)))
-    free = reeds.with_free_moduli()
-    grown = [each.free_moduli for each in found if each.free_moduli]
-    stiffenings = zip(*(stiffening_of(free, each) for each in grown), strict=True)
+    stiffenings = _stiffenings(found, weights, reeds.with_free_moduli())
     return {
         label: replace(
             naming,
             spurious=float(weights @ [each.spurious[a] for each in found]),
             outside=float(weights @ [each.outside[a] for each in found]),
-            stiffening=averaged(weights, stiffening),
+            stiffening=stiffenings[a],
         )
-        for a, ((label, naming), stiffening) in enumerate(
-            zip(choices.items(), stiffenings, strict=True)
-        )
+        for a, (label, naming) in enumerate(choices.items())
     }
+
+
+def _stiffenings(
+    found: Sequence[ReedPosterior], weights: Array, free: PlausibleReeds
+) -> Sequence[Stiffening | None]:
+    """Return how each measured mode stiffens, by all reeds that are possible with free moduli."""
+    grown = [(each.free_moduli, w) for each, w in zip(found, weights, strict=True)]
+    each = [stiffening_of(free, one) for one, _ in grown if one is not None]
+    if not each:
+        return [None] * len(found[0].mode)
+    own = np.array([w for one, w in grown if one is not None])
+    return [averaged(own / own.sum(), of_mode) for of_mode in zip(*each, strict=True)]
 
 
 def _averaged_names(

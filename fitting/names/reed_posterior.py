@@ -7,6 +7,7 @@ of each shape. A measured mode is one of the reed's, or none of them: then the f
 something else for a mode. Least-squares fits and the assignment of modes take turns.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -41,6 +42,7 @@ from fitting.names.reed_fit import (
     updated,
 )
 from holography.arrays import Array
+from physics.errors import ImpossibleReedError
 from physics.plausible.nearby import NearbyReeds
 from physics.plausible.reeds import PlausibleReeds
 
@@ -181,13 +183,17 @@ def _confirmed(question: Question, first: Fit, fit: Fit) -> Fit:
     usual = fit.shifts.cents < _USUAL_SHIFTS * SHIFT_CENTS[0]
     if usual and np.all(fit.data.mode >= 0) and fit.data.real.all():
         return fit
-    real = np.ones_like(fit.data.real)
-    starts = [replace(fit, data=replace(fit.data, real=real))]
+    real, ends = np.ones_like(fit.data.real), [fit]
+    # A search that leaves all possible reeds ends nowhere.
+    with suppress(ImpossibleReedError):
+        ends.append(_searched(question, replace(fit, data=replace(fit.data, real=real))))
     for deviations in _OTHER_CLAMPS:
         parameters = first.here.parameters.copy()
         parameters[question.reeds.clamp] = deviations
-        starts.append(replace(first, here=towards(question, first.here.parameters, parameters)))
-    ends = _comparable(question, [fit, *(_searched(question, start) for start in starts)])
+        with suppress(ImpossibleReedError):
+            there = towards(question, first.here.parameters, parameters)
+            ends.append(_searched(question, replace(first, here=there)))
+    ends = _comparable(question, ends)
     return max(ends, key=lambda end: _log_evidence(question.reeds, end))
 
 
@@ -311,16 +317,24 @@ def _exchanged(question: Question, fit: Fit) -> list[Fit]:
         apart = _BEYOND * float(level[other] - level[one]) / _CENT
         parameters = here.parameters.copy()
         parameters[reeds.shifts.start + np.array([one, other])] += np.array([apart, -apart])
-        tried = replace(fit, here=predict(reeds, question.visible, parameters))
-        for _ in range(_MOST_STEPS):
-            # With the scatter of the other reed at first: a shape that is bad has no say otherwise.
-            tried = refitted(question, tried)
-            scatter = shape_scatter(tried.here, tried.data)
-            tried = replace(tried, data=replace(tried.data, scatter=scatter))
-            if tried.moved < SETTLED:
-                break
-        answer.append(tried)
+        # There need not be a reed in which they have.
+        with suppress(ImpossibleReedError):
+            tried = replace(fit, here=predict(reeds, question.visible, parameters))
+            answer.append(_settled(question, tried))
     return answer
+
+
+def _settled(question: Question, fit: Fit) -> Fit:
+    """Fit the reed of the same modes until it comes to rest.
+
+    It has the scatter of the other reed at first: a shape that is bad has no say otherwise.
+    """
+    for _ in range(_MOST_STEPS):
+        fit = refitted(question, fit)
+        fit = replace(fit, data=replace(fit.data, scatter=shape_scatter(fit.here, fit.data)))
+        if fit.moved < SETTLED:
+            break
+    return fit
 
 
 def _comparable(question: Question, fits: list[Fit]) -> list[Fit]:
@@ -330,23 +344,35 @@ def _comparable(question: Question, fits: list[Fit]) -> list[Fit]:
     """
     if len(fits) == 1:
         return fits
+    first, *others = fits
     weights = np.stack([shape_weights(fit.here, fit.data) for fit in fits])
     best = np.argmin([fit.data.scatter for fit in fits], axis=0)
     common = weights[best, np.arange(weights.shape[1])]
-    return [refitted(question, replace(fit, data=replace(fit.data, weight=common))) for fit in fits]
+    again = [refitted(question, replace(first, data=replace(first.data, weight=common)))]
+    for other in others:
+        with suppress(ImpossibleReedError):
+            again.append(
+                refitted(question, replace(other, data=replace(other.data, weight=common)))
+            )
+    return again
 
 
-def _with_free_moduli(question: Question, fit: Fit) -> ReedPosterior:
-    """Fit again with free moduli, the same modes and the same scatter of shapes."""
+def _with_free_moduli(question: Question, fit: Fit) -> ReedPosterior | None:
+    """Fit again with free moduli, the same modes and the same scatter of shapes.
+
+    None if no such reed is possible.
+    """
     free = replace(question, reeds=question.reeds.with_free_moduli())
     parameters = np.zeros(len(free.reeds.names))
     parameters[np.isin(free.reeds.names, question.reeds.names)] = fit.here.parameters
-    fit = replace(fit, here=predict(free.reeds, free.visible, parameters))
-    for _ in range(_MOST_STEPS):
-        fit = refitted(free, fit)
-        if fit.moved < SETTLED:
-            break
-    return _result(free, fit)
+    with suppress(ImpossibleReedError):
+        fit = replace(fit, here=predict(free.reeds, free.visible, parameters))
+        for _ in range(_MOST_STEPS):
+            fit = refitted(free, fit)
+            if fit.moved < SETTLED:
+                break
+        return _result(free, fit)
+    return None
 
 
 def _log_evidence(reeds: PlausibleReeds, fit: Fit) -> float:

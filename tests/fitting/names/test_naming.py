@@ -14,6 +14,7 @@ from fitting.names.naming import (
     SURE,
     ModeNaming,
     exchanged_names,
+    name_modes,
     name_probabilities,
     named,
 )
@@ -102,6 +103,37 @@ def test_a_mode_that_a_search_has_left_out_is_looked_for_again(reeds, visible, p
     assert found[MEASURED.index("X2")]["X2"] > SURE
     assert np.all(best.mode >= 0)
     assert best.shift_cents == pytest.approx(SHIFT_CENTS[0])
+
+
+def test_a_search_that_leaves_all_possible_reeds_takes_no_name_away(
+    reeds, visible, planted, monkeypatch
+):
+    """Neither one from another clamp, nor one with moduli that leave hypothesis H4."""
+    sweep = planted(MEASURED, 0, clamp_compliance=-1.0)
+
+    def nowhere(*_args):
+        raise ImpossibleReedError("no such reed")
+
+    begun = []
+
+    def once(*args):
+        begun.append(args)
+        return towards(*args) if len(begun) == 1 else nowhere()
+
+    def predicted(own, *rest):
+        return nowhere() if len(own.names) > len(reeds.names) else predict(own, *rest)
+
+    module = "fitting.names.reed_posterior"
+    # Searches from elsewhere are always begun.
+    monkeypatch.setattr(f"{module}._USUAL_SHIFTS", 0.0)
+    monkeypatch.setattr(f"{module}.towards", once)
+    monkeypatch.setattr(f"{module}.predict", predicted)
+    best, found = probabilities_of(reeds, visible, sweep.measured)
+    assert [max(own, key=own.get) for own in found] == list(MEASURED)
+    assert best.free_moduli is None
+    naming = name_modes((best,), MEASURED, reeds)
+    assert {each.name for each in naming.values()} == set(MEASURED)
+    assert all(each.stiffening is None for each in naming.values())
 
 
 def test_a_mode_is_the_same_after_a_step_to_a_reed_with_another_order(reeds, visible, planted):

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d
 
 from diagnosis.observable_groups import (
     BANDS,
@@ -25,6 +25,7 @@ from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.observables.shapes import elastic_reed
 from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.mean_drive import mean_drive, same_hz
 from diagnosis.readings.sweeps import SAME_LEVEL, SweepReading, common_modes, loudest
 from holography.arrays import Array
 from physics.air import pressure_shape
@@ -40,9 +41,6 @@ from physics.reed.elements.fem import Symmetry
 
 # Gains that are kept. Chosen: some hundred kilobytes.
 _KEPT = 8192
-# Frequencies of two sweeps that lie no further apart, in log, are one: a generator may not play
-# quite what it is asked to. Chosen: a fifteenth of a step of 25 cents; of narrower steps a quarter.
-_SAME_HZ, _OF_STEP = 1e-3, 0.25
 # Log of the drive: polynomials of this degree may be any speaker's, of any size. Chosen: four
 # bends in three octaves.
 _DEGREE, _SMOOTH = 5, 1.0
@@ -60,20 +58,13 @@ _LEAST_WAVE, _LEAST_RESONANT = 1e-6, 3e-3
 # Log frequency over which leaked light at a small-amplitude hologram spreads: the width of a mode
 # with a loss factor of 0.05.
 _NEAR = 0.05
-# Error of the log drive of one hologram at least, and of a weaker one more. Chosen: gains scatter
-# by half a per cent a step, and light follows them.
-_LEAST, _WEAK = 0.01, 0.02
+# Error of the log drive of a weak hologram more. Chosen: light follows what gains scatter by.
+_WEAK = 0.02
 # Where a mode that is not identified may be, from its frequency, in widths. Chosen: seven places
 # within half of a width.
 _OFF_BY = np.linspace(-0.5, 0.5, 7)
 # Acoustic paths cancel to this gain at most. Chosen: 60 dB, more than walls let through.
 _LEAST_GAIN = 1e-3
-# Log frequency over which sweeps may differ smoothly: 375 cents, a resonance of quality 5; and the
-# fewest holograms. At the ends little tells what is smooth: share of the range, and error of the
-# log there. Chosen.
-_AROUND, _FEWEST_AROUND, _END_SHARE, _END = 0.217, 5, 0.06, 0.1
-# Beyond this frequency modes are too dense to separate them from the drive.
-_HIGHEST_HZ = 16.5e3
 # Log ratio of amplitudes in two sweeps: a common factor, smoothly in frequency, of every band.
 _RATIO, _RATIO_BAND = 0.03, 0.015
 # ... and of light that leaks into the hologram.
@@ -102,7 +93,7 @@ def excitation_group(
     nominal : BenchParameters
     leaks : Leaks
     """
-    hz, log, error, fitted = _mean_drive(sweeps)
+    hz, log, error, fitted = mean_drive(sweeps)
     if len(hz) <= _DEGREE + 1:
         return None
     loud = loudest(sweeps)[0]
@@ -192,49 +183,6 @@ def _gain(drive: Drive, hz: Array) -> Array:
     return gain
 
 
-def _mean_drive(sweeps: Sequence[SweepReading]) -> tuple[Array, Array, Array, Array]:
-    """Frequencies, log drive per volt and errors (k,) of all holograms, by all sweeps.
-
-    What sweeps differ by smoothly is anyone's; where they differ from hologram to hologram, some of
-    their fits are wrong there. Where a mode lies in a notch, every fit divides it in the same way:
-    the errors (k, k) of the fits themselves, which come last, do not decrease with their number.
-    """
-    every = np.array(sorted({float(f) for s in sweeps for f in s.drive_hz}))
-    new = np.diff(np.log(every), prepend=-np.inf) > _same_hz(sweeps)
-    hz, place = every[new], np.cumsum(new) - 1
-    table = np.full((len(sweeps), len(hz)), np.nan)
-    pairs = np.zeros((len(hz), len(hz)))
-    for row, sweep in zip(table, sweeps, strict=True):
-        good = np.flatnonzero(~sweep.off)
-        at = place[np.searchsorted(every, sweep.drive_hz[good])]
-        row[at] = sweep.log_drive[good]
-        pairs[np.ix_(at, at)] += sweep.log_drive_covariance[np.ix_(good, good)]
-    count = np.sum(np.isfinite(table), axis=0)
-    seen = (count >= min(2, len(sweeps))) & (hz < _HIGHEST_HZ)
-    hz, table, count = hz[seen], table[:, seen], count[seen]
-    # The mean over sweeps of each covariance, also where they have not the same frequencies: a sum
-    # of covariances, which a mean over those that have both frequencies need not be.
-    fitted = pairs[np.ix_(seen, seen)] / np.sqrt(np.multiply.outer(count, count))
-    if not hz.size:
-        return hz, hz, hz, fitted
-    middle = np.nanmedian(table, axis=0)
-    apart = np.where(np.isfinite(table), table - middle, 0.0)
-    around = _AROUND / float(np.median(np.diff(np.log(hz)))) if len(hz) > 1 else 1.0
-    apart -= median_filter(apart, (1, max(round(around), _FEWEST_AROUND)), mode="nearest")
-    mean = middle + np.sum(apart, axis=0) / count
-    error = np.sqrt(np.sum(apart**2, axis=0) / np.maximum(count - 1, 1))
-    pitch = np.log(hz / np.sqrt(hz[0] * hz[-1]))
-    ends = np.clip((np.abs(pitch) / np.abs(pitch).max() - 1) / _END_SHARE + 1, 0, 1)
-    return hz, mean, np.sqrt(_LEAST**2 + error**2 + (_END * ends) ** 2), fitted
-
-
-def _same_hz(sweeps: Sequence[SweepReading]) -> float:
-    """Return up to which log distance frequencies of two sweeps are one."""
-    steps = [np.diff(np.sort(np.log(sweep.drive_hz))) for sweep in sweeps]
-    narrow = min((float(step[step > 0].min(initial=np.inf)) for step in steps), default=np.inf)
-    return min(_SAME_HZ, _OF_STEP * narrow)
-
-
 def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup | None:
     """Compare amplitudes of sweeps at another level with those of the loudest.
 
@@ -254,7 +202,7 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
     times_s: list[tuple[Array, Array]] = []
     for other in others:
         apart = np.abs(np.log(loud[0].drive_hz[:, None] / other.drive_hz))
-        one = np.flatnonzero(apart.min(axis=1) < _same_hz((loud[0], other)))
+        one = np.flatnonzero(apart.min(axis=1) < same_hz((loud[0], other)))
         two = np.argmin(apart[one], axis=1)
         # At small amplitude, leaked light is as large as the signal.
         told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LEAST_AMPLITUDE_RAD)

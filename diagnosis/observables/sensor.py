@@ -70,6 +70,16 @@ _LEAST_SHOT = 0.1
 _COARSE = 128
 
 
+# Numbers of even light but for those of its exposures.
+_OF_FLATS = (
+    Coordinates("pattern"),
+    Coordinates("electrons per number"),
+    Coordinates("corners", region="corners"),
+    Coordinates("tilt of the light", region="rows"),
+    Coordinates("tilt of the light", region="columns"),
+)
+
+
 @dataclass(frozen=True)
 class Specimens:
     """Standard deviations by which cameras differ from what is expected of one.
@@ -183,13 +193,7 @@ def flat_group(
         *flat.tilt,
     ]
     places = [Coordinates(f"linearity at {share:.0%}") for share in signal[1:] / full_dn]
-    places += [
-        Coordinates("pattern"),
-        Coordinates("electrons per number"),
-        Coordinates("corners", region="corners"),
-        Coordinates("tilt of the light", region="rows"),
-        Coordinates("tilt of the light", region="columns"),
-    ]
+    places += _OF_FLATS
     errors = _flat_errors(flat, signal, full_dn, specimens)
     if dark is None:
         by_offset = _by_offset(flat, signal, shot, full_dn)

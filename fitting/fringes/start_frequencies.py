@@ -80,8 +80,7 @@ def start_frequencies(
         If no mode lies in the sweep.
     """
     look, reached = basis.hz < _LOOK_HZ, displacements.reached
-    if np.count_nonzero(reached) < _FEWEST:
-        reached = np.ones(len(reached), dtype=bool)
+    reached = reached | (np.count_nonzero(reached) < _FEWEST)
     drive_hz, indices = block_amplitudes.drive_hz[reached], block_amplitudes.step_index[reached]
     modal = np.abs(displacements.amplitude_rad[reached] @ np.linalg.pinv(basis.shapes[look]))
     names = [name for name, counts in zip(basis.names, look, strict=True) if counts]
@@ -108,17 +107,10 @@ def start_frequencies(
             strict=True,
         )
     )
-    starts = dict(expected)
-    for name in expected:
-        if name not in PAPER_MODES or name not in paper_cents:
-            continue
-        seen_hz = [drive_hz[k] for k in weighty[name]]
-        if name in picked:
-            seen_hz.append(picked[name].frequency_hz)
-        # A peak may belong to another mode or to the excitation: it is used if the cane agrees.
-        apart = [abs(float(cents_of(hz)) - paper_cents[name]) for hz in seen_hz]
-        if apart and min(apart) < _room_cents(name, paper_cents):
-            starts[name] = float(seen_hz[int(np.argmin(apart))])
+    seen_hz = {name: [float(drive_hz[k]) for k in weighty[name]] for name in names}
+    for name, peak in picked.items():
+        seen_hz[name].append(peak.frequency_hz)
+    starts = expected | _agreeing(seen_hz, paper_cents)
     first, last = block_amplitudes.drive_hz[0], block_amplitudes.drive_hz[-1]
     within = {n: hz for n, hz in starts.items() if first / _BELOW < hz < last * _ABOVE}
     if not within:
@@ -127,6 +119,23 @@ def start_frequencies(
             "sweep is; sweep a wider range"
         )
     return within
+
+
+def _agreeing(
+    seen_hz: Mapping[str, Sequence[float]], paper_cents: Mapping[str, float]
+) -> dict[str, float]:
+    """Return, of modes with peaks, the frequency of the one that the cane agrees with best.
+
+    A peak may belong to another mode or to the excitation: then no cane agrees.
+    """
+    found = {}
+    for name, each in seen_hz.items():
+        if name not in PAPER_MODES or name not in paper_cents or not each:
+            continue
+        apart = [abs(float(cents_of(hz)) - paper_cents[name]) for hz in each]
+        if min(apart) < _room_cents(name, paper_cents):
+            found[name] = each[int(np.argmin(apart))]
+    return found
 
 
 def _outweighing(weight: Array, names: Sequence[str]) -> dict[str, list[int]]:

@@ -174,7 +174,11 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
         value=np.ascontiguousarray(value[:, : len(steps)]),
         x_m=x_m,
         y_m=y_m,
-        size_m=(blocks.wide * _pixel_m(run.x_m), blocks.high * _pixel_m(run.y_m)),
+        # On the reed, as all places are.
+        size_m=(
+            blocks.wide * _pixel_m(run.x_m) / (1 + place.larger),
+            blocks.high * _pixel_m(run.y_m) / (1 + place.larger),
+        ),
         spread=spread,
         independent_fraction=across.independent_fraction(blocks.wide)
         * down.independent_fraction(blocks.high),

@@ -262,26 +262,25 @@ def _finish(
     magnitudes = [(each.end.state.log_drive.real, each.magnitude_covariance) for each in optima]
     model, end, factor = best.model, best.end, best.factor
     prior, state, now = end.prior, end.state, terms(model, end.state)
-    posterior = Posterior.of(end.here, end.covariance, factor)
-    shared = posterior.shared(len(state.shared))
+    posterior, count = Posterior.of(end.here, end.covariance, factor), len(model.active)
+    shared, off = posterior.shared(len(state.shared)), _off(displacements, end.noise)
     # The first values are no error of the light.
     of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
-    count, off = len(model.active), _off(displacements, end.noise)
     resonant = resonant_displacements(model, prior, state, now, posterior, off)
     follow = influence(best, resonant)
     spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
-    own_hz, own_loss = np.exp(logs.reshape(2, -1))
-    mixes = prior.free[count:, :count]
+    (own_hz, own_loss), mixes = np.exp(logs.reshape(2, -1)), prior.free[count:, :count]
     # Drive and participations have an undetermined common factor: the errors of participations are
     # those for a given drive.
     given_drive = factor * inverse(end.here.matrix)
     at_resonance = participations(model, prior, state, given_drive, own_hz)
+    error_cents, loss_error = np.sqrt(np.diag(covariance)).reshape(2, -1)
     return ModalFit(
         names=tuple(names[m] for m in model.active),
         hz=own_hz,
-        error_cents=np.sqrt(np.diag(covariance)[:count]) * 1200 / np.log(2),
+        error_cents=error_cents * 1200 / np.log(2),
         loss_factor=own_loss,
-        loss_error=np.sqrt(np.diag(covariance)[count:]),
+        loss_error=loss_error,
         covariance=covariance,
         influence=follow.amplitudes,
         shapes=now.shapes[model.active],

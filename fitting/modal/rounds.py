@@ -162,9 +162,10 @@ def one_round(
     state, here = at.state, equations(model, data, prior, at)
     alone, root, _ = without_drive(here, 0.0)
     covariance = inverse(alone)
-    freedoms = (
-        2 * data.amplitude.size - 2 * len(model.hz) - _effective_parameters(prior, data, covariance)
-    )
+    # A hologram without a solution says nothing, and leaves nothing.
+    shown = int(np.count_nonzero(np.any(displacements.information, axis=(1, 2))))
+    numbers = 2 * shown * (data.amplitude.shape[1] - 1)
+    freedoms = numbers - _effective_parameters(prior, data, covariance)
     weighed = data.whitened_residual(at.terms.amplitude, state.shared)
     left = weighed * weighing
     whitened_residual = left / noise.deviation(scatter.discrepancy)

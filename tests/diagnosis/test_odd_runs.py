@@ -10,7 +10,6 @@ from diagnosis.observable_groups import Coordinates, Observable, observable_grou
 from diagnosis.observables.brightness import brightness_group
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.drive import (
-    _mean_drive,
     excitation_group,
     force_group,
     level_group,
@@ -22,6 +21,7 @@ from diagnosis.observables.reed_at_rest import phase_turn_group, usual_scatter_h
 from diagnosis.readings.camera import read_dark, read_flat
 from diagnosis.readings.campaign_readings import _missing
 from diagnosis.readings.carrier import read_carriers
+from diagnosis.readings.mean_drive import mean_drive
 from diagnosis.readings.reed_at_rest import read_rest_holograms
 from diagnosis.readings.step_log import read_step_log
 from diagnosis.readings.templates import TEMPLATES
@@ -205,7 +205,7 @@ def test_steps_of_one_sweep_are_never_one_however_narrow_they_are(step_hz: float
         sweep(name, hz, volts=16.0, log_drive=drive, log_drive_covariance=np.diag(0 * hz))
         for name in ("up", "down")
     ]
-    found, mean, _, _ = _mean_drive(fine)
+    found, mean, _, _ = mean_drive(fine)
     assert found == pytest.approx(hz)
     assert mean == pytest.approx(drive)
     # A generator that is two millionths off plays the same frequencies.
@@ -213,7 +213,7 @@ def test_steps_of_one_sweep_are_never_one_however_narrow_they_are(step_hz: float
         "down", hz * (1 + 2e-6), volts=16.0, log_drive=drive,
         log_drive_covariance=np.diag(0 * hz),
     )  # fmt: skip
-    assert len(_mean_drive(fine)[0]) == len(hz)
+    assert len(mean_drive(fine)[0]) == len(hz)
 
 
 def test_sweeps_at_other_frequencies_tell_no_lines_and_no_levels() -> None:

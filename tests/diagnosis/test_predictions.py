@@ -9,11 +9,12 @@ import pytest
 from diagnosis.observables import drive
 from diagnosis.observables.brightness import brightness_group
 from diagnosis.observables.carrier import Leaks
-from diagnosis.observables.drive import _mean_drive, excitation_group, forces_rad, level_group
+from diagnosis.observables.drive import excitation_group, forces_rad, level_group
 from diagnosis.observables.frequency_lock import lock_group, lost_frames_group
 from diagnosis.observables.light import fringe_group, noise_group
 from diagnosis.observables.modes import _prediction
 from diagnosis.observables.reed_at_rest import phase_scatter_group, phase_turn_group
+from diagnosis.readings.mean_drive import mean_drive
 from diagnosis.readings.step_log import StepLog
 from diagnosis.readings.templates import TEMPLATES
 from physics.parameters.chamber import Chamber, Filling
@@ -283,7 +284,7 @@ def test_a_hologram_that_is_off_in_one_sweep_has_the_error_of_the_others() -> No
         sweep("down", log_drive_covariance=0.25 * np.eye(160)),
         sweep("again", log_drive_covariance=0.25 * np.eye(160)),
     ]
-    hz, _, _, fitted = _mean_drive(sweeps)
+    hz, _, _, fitted = mean_drive(sweeps)
     assert len(hz) == 160
     assert np.diag(fitted)[[89, 90]] == pytest.approx([0.5, 0.25])
 
@@ -296,7 +297,7 @@ def test_errors_of_the_drive_are_a_covariance_whatever_is_off() -> None:
         sweep("down", log_drive_covariance=4 * common),
         sweep("again", log_drive_covariance=0.01 * common, off=np.arange(160) % 2 == 0),
     ]
-    _, _, _, fitted = _mean_drive(sweeps)
+    _, _, _, fitted = mean_drive(sweeps)
     assert np.diag(fitted)[[0, 1]] == pytest.approx([4.0, 8.01 / 3])
     assert np.linalg.eigvalsh(fitted).min() > -1e-9
 

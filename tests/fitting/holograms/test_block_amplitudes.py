@@ -334,6 +334,22 @@ def test_under_a_window_noise_is_one_and_light_that_of_independent_pixels(plain)
     assert found.independent_fraction * np.mean(factor**2) == pytest.approx(900 * pixels, rel=0.05)
 
 
+def test_blocks_are_as_large_as_they_are_on_the_reed(plain, monkeypatch):
+    path, _ = plain
+    module = "fitting.holograms.block_amplitudes"
+    wide = [
+        np.array(read_at(path, replace(nominal_place(), larger=larger), module, monkeypatch).size_m)
+        for larger in (0.0, 0.04)
+    ]
+    assert wide[0] / wide[1] == pytest.approx([1.04, 1.04])
+
+
+def read_at(path, place, module, monkeypatch):
+    """Read a run whose reed lies at a place, whatever its edges say."""
+    monkeypatch.setattr(f"{module}.reed_place", lambda *_: place)
+    return read(path)
+
+
 def test_light_spreads_along_each_axis_as_its_pixels_say(plain):
     """Together, all blocks spread as far as pixels and their window do."""
     path, phasor = plain

@@ -308,6 +308,26 @@ def shared_sweep(sweep):
     return replace(sweep, displacements=replace(found, amplitude_rad=found.amplitude_rad + turned))
 
 
+def test_holograms_without_a_solution_make_the_discrepancy_no_smaller(sweep):
+    """A fifth of them, spread over the sweep: they say nothing of how far others scatter."""
+    found, rng = sweep.displacements, np.random.default_rng(5)
+    normal = complex_normal(rng, *found.amplitude_rad.shape)
+    rms = np.sqrt(np.mean(np.abs(found.amplitude_rad) ** 2, axis=1, keepdims=True))
+    scattered = found.amplitude_rad + 0.03 * np.sqrt(2) * rms * normal
+    for lost in (np.zeros(len(DRIVE_HZ), dtype=bool), np.arange(len(DRIVE_HZ)) % 5 == 2):
+        displacements = replace(
+            found,
+            amplitude_rad=np.where(lost[:, None], 0.0, scattered),
+            information=np.where(lost[:, None, None], 0.0, found.information),
+        )
+        model, given, state = begun(replace(sweep, displacements=displacements))
+        scatter = Scatter(0.03, FIRST_WALK)
+        for _ in range(4):
+            end = one_round(model, given, state, scatter, 40)
+            state, scatter = end.state, replace(end.next_scatter, sharing=1.0)
+        assert scatter.discrepancy == pytest.approx(0.03, rel=0.08)
+
+
 def test_the_discrepancy_and_who_shares_it_do_not_depend_on_what_was_assumed(shared_sweep):
     model, given, state = begun(shared_sweep)
     state = one_round(model, given, state, Scatter(0.03, FIRST_WALK), 40).state

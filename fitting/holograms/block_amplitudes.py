@@ -46,6 +46,10 @@ _EDGE_M = 0.25e-3
 _BEHIND_VAMP_M = 1e-3
 # Number of blocks whose holograms fit into the processor's cache.
 _BLOCKS_AT_ONCE = 16
+# A pause counts for at most this share of the holograms of a sweep. Chosen: what drifts is known at
+# nodes that are evenly spaced in ranks, and longer pauses would leave few for the holograms. And
+# from how many usual steps on a gap is a pause.
+_LONGEST, _PAUSE = 4, 3.0
 
 
 @dataclass(frozen=True)
@@ -198,11 +202,32 @@ def read_block_amplitudes(run: Run, unshifted: UnshiftedLight | None = None) -> 
 def _recording_rank(run: Run, steps: Sequence[StepRecord]) -> NDArray[np.intp]:
     """Return the rank (k,) of steps in the order of recording.
 
+    Light changes with time: between two steps, ranks grow by as many as would have been recorded
+    in the usual time of a step, up to a share of all. That is 1, but for bad steps and pauses.
+    """
+    order, begun_s = _recorded(run, steps), np.array([step.timestamps_s[0] for step in steps])
+    apart_s = np.diff(begun_s[order])
+    usual_s = float(np.median(apart_s[apart_s > 0])) if np.any(apart_s > 0) else 1.0
+    longest = max(len(steps) // _LONGEST, 1)
+    # A clock that has begun again does not tell how long it stood still.
+    gaps = np.where(apart_s > 0, np.round(apart_s / usual_s), longest)
+    if run.interruptions:
+        # In the planned order, a step that was measured again is out of its time, and no pause.
+        calm = np.pad((apart_s > 0) & (gaps < _PAUSE), 1, constant_values=True)
+        gaps = np.where(calm[:-2] & calm[2:], gaps, 1.0)
+    ranks = np.zeros(len(steps), dtype=np.intp)
+    ranks[order[1:]] = np.cumsum(np.clip(gaps, 1, longest)).astype(np.intp)
+    return ranks
+
+
+def _recorded(run: Run, steps: Sequence[StepRecord]) -> NDArray[np.intp]:
+    """Return the numbers (k,) of steps in the order of recording.
+
     The camera's clock tells it, unless the camera was started again during the run: its clock may
     then have begun again, and the planned order is taken.
     """
     if not run.interruptions:
-        return np.argsort(np.argsort([step.timestamps_s[0] for step in steps]))
+        return np.argsort([step.timestamps_s[0] for step in steps])
     try:
         protocol = Protocol.from_text(run.protocol_text, "its protocol")
     except ProtocolError as error:
@@ -211,7 +236,7 @@ def _recording_rank(run: Run, steps: Sequence[StepRecord]) -> NDArray[np.intp]:
             f"were measured; measure it again ({error})"
         ) from error
     place = np.argsort(planned_sequence(protocol, len(run.steps)))
-    return np.argsort(np.argsort(place[[step.position for step in steps]]))
+    return np.argsort(place[[step.position for step in steps]])
 
 
 def _others(run: Run, steps: Sequence[StepRecord]) -> dict[int, dict[int, StepRecord]]:

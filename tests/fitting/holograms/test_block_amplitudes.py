@@ -477,6 +477,21 @@ def test_a_hologram_that_is_recorded_again_ranks_last(shuffled, tmp_path, reseal
     assert np.argsort(read(tmp_path / "again.h5").recording_rank).tolist() == expected
 
 
+def test_ranks_count_what_would_have_been_recorded_in_a_pause(shuffled, tmp_path, resealed):
+    plan, path = shuffled
+    for pause_steps, counted in ((2.0, 3), (500.0, 4)):
+        copy = Path(shutil.copy(path, tmp_path / f"{counted}.h5"))
+        with resealed(copy) as file:
+            stamps, later = file["entry/steps/timestamp_s"], np.array(plan.sequence[9:])
+            shifted = stamps[()]
+            step_s = np.median(np.diff(np.sort(shifted[:, 0])))
+            shifted[later] += pause_steps * step_s
+            stamps[...] = shifted
+        ranks = np.sort(read(copy).recording_rank)
+        # Of sixteen holograms, a pause is four at most.
+        assert np.diff(ranks).tolist() == [1] * 8 + [counted] + [1] * 6
+
+
 @pytest.fixture
 def continued(shuffled, tmp_path, resealed):
     """The same, interrupted after seven holograms; the camera's clock began again."""
@@ -495,7 +510,10 @@ def continued(shuffled, tmp_path, resealed):
 
 def test_a_clock_that_begins_again_with_a_continued_run_is_not_believed(shuffled, continued):
     plan, _ = shuffled
-    assert np.argsort(read(continued).recording_rank).tolist() == list(plan.sequence)
+    ranks = read(continued).recording_rank
+    assert np.argsort(ranks).tolist() == list(plan.sequence)
+    # Nobody knows how long it was interrupted.
+    assert np.diff(np.sort(ranks)).tolist() == [1] * 6 + [4] + [1] * 8
 
 
 def test_an_interrupted_run_whose_order_is_not_known_is_refused(continued, resealed):

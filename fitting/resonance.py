@@ -33,6 +33,8 @@ class Resonance:
         drive changes steeply.
     loss_factor, loss_error : float, optional
         The error is relative.
+    loss_error_shared : float
+        Part of it that the modes of a sweep have in common: how stiffness grows with frequency.
     participation : float, optional
         How strongly the drive excites the mode, relative to the mode that it excites most.
     similarity : float, optional
@@ -64,6 +66,7 @@ class Resonance:
     response_hz: float | None = None
     loss_factor: float | None = None
     loss_error: float | None = None
+    loss_error_shared: float = 0.0
     participation: float | None = None
     similarity: float | None = None
     amplitude_nm: float | None = None

@@ -7,7 +7,7 @@ shear, T1 two thirds: that separates both loss factors of the cane.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,8 @@ _CLAMP_LOSS = 0.1
 # Gauss-Newton steps; only the growth with frequency is not linear. For growths of two standard
 # deviations the loss factors then change by less than 1e-9.
 _STEPS = 6
+# Least relative error that a mode's loss factor has by itself. Chosen: far below that of any fit.
+_LEAST_OWN = 1e-4
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def fit_losses(
     """
     names, parts = _parts(Mechanics(cane=cane), solver)
     used = {
-        name: (mode.loss_factor, mode.loss_factor * mode.loss_error)
+        name: (mode.loss_factor, mode.loss_error, mode.loss_error_shared)
         for name, mode in resonances.items()
         if mode.loss_factor is not None and mode.loss_error is not None and name in names
     }
@@ -100,8 +102,10 @@ def fit_losses(
             f"{len(used)} modes with a loss factor cannot separate two loss factors of the cane; "
             f"{_LEAST_MODES} are needed"
         )
-    measured, errors = np.array(list(used.values())).T
-    return _fitted(list(used), parts.some([names.index(n) for n in used]), measured, errors)
+    measured, errors, shared = np.array(list(used.values())).T
+    own = np.sqrt(np.maximum(errors**2 - shared**2, _LEAST_OWN**2))
+    there = parts.some([names.index(n) for n in used]).with_unknown(measured * shared)
+    return _fitted(list(used), there, measured, measured * own)
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,9 @@ class _Parts:
         Fractions of the energy in normal strains and in shear.
     sound : (n,) float
         Loss factor by radiated sound.
-    unknown : (n, 2) float
-        Changes by one standard deviation of that sound, and of the loss of the clamp.
+    unknown : (n, u) float
+        Changes by one standard deviation of that sound, of the loss of the clamp, and of what
+        errors of modes have in common.
     log_hz : (n,) float
         Log frequency over 4 kHz.
     """
@@ -129,28 +134,33 @@ class _Parts:
         """Return the parts of some modes."""
         return _Parts(self.cane[rows], self.sound[rows], self.unknown[rows], self.log_hz[rows])
 
+    def with_unknown(self, change: Array) -> "_Parts":
+        """Return the same with the changes (n,) by one more unknown."""
+        return replace(self, unknown=np.column_stack([self.unknown, change]))
+
     def losses(self, values: Array) -> tuple[Array, Array]:
-        """Return loss factors (n,) and their derivatives (n, 5) for the values of `_solved`."""
+        """Return loss factors (n,) and their derivatives (n, u + 3) for the values of `_solved`."""
         (growth,) = BY_ID["frequency_dependent_damping"].parameters
-        grown = np.exp(growth.spread * values[4] * self.log_hz)
+        grown = np.exp(growth.spread * values[-1] * self.log_hz)
         by_cane = self.cane * grown[:, None]
         cane = by_cane @ values[:2]
         by_growth = growth.spread * self.log_hz * cane
         slopes = np.column_stack([by_cane, self.unknown, by_growth])
-        return cane + self.sound + self.unknown @ values[2:4], slopes
+        return cane + self.sound + self.unknown @ values[2:-1], slopes
 
 
 def _solved(parts: _Parts, measured: Array, errors: Array) -> tuple[Array, Array]:
-    """Fit both loss factors of the cane, and sound, clamp and growth in standard deviations.
+    """Fit both loss factors of the cane, and all unknowns and growth in standard deviations.
 
     Returns
     -------
-    values : (5,) float
-    covariance : (5, 5) float
+    values : (u + 3,) float
+    covariance : (u + 3, u + 3) float
     """
     # The loss factors of the cane have no prior.
-    prior = np.diag([0.0, 0.0, 1.0, 1.0, 1.0])
-    values = np.array([measured.mean(), measured.mean(), 0.0, 0.0, 0.0])
+    unknowns = parts.unknown.shape[1] + 1
+    prior = np.diag([0.0, 0.0, *np.ones(unknowns)])
+    values = np.array([measured.mean(), measured.mean(), *np.zeros(unknowns)])
     for _ in range(_STEPS):
         expected, slopes = parts.losses(values)
         weighted = slopes / errors[:, None] ** 2

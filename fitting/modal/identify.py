@@ -470,10 +470,11 @@ def _resonance(sweep: MeasuredSweep, m: int, name: str, naming: ModeNaming) -> R
     hz = float(modal.hz[m])
     likely = naming.name if naming.name in basis.names else modal.names[m]
     loss_factor, loss_error = float(modal.loss_factor[m]), float(modal.loss_error[m])
+    shared = 0.0 if naming.stiffening is None else naming.stiffening.loss_error
     if naming.stiffening is not None:
         assumed = float(basis.stiffening[basis.names.index(modal.names[m])])
         loss_factor *= naming.stiffening.loss_ratio(assumed)
-        loss_error = float(np.hypot(loss_error, naming.stiffening.loss_error))
+        loss_error = float(np.hypot(loss_error, shared))
     # The drive of an outlier is as wrong as its displacement.
     sure = np.flatnonzero(~modal.off) if not modal.off.all() else np.arange(len(modal.off))
     drive_hz, moved_rad = block_amplitudes.drive_hz[sure], np.abs(modal.modal_rad[sure, m])
@@ -489,6 +490,7 @@ def _resonance(sweep: MeasuredSweep, m: int, name: str, naming: ModeNaming) -> R
         response_hz=peak_response_hz(drive_hz, moved_rad, hz),
         loss_factor=loss_factor,
         loss_error=loss_error,
+        loss_error_shared=shared,
         participation=float(participation[m] / participation.max()),
         similarity=mac(modal.shapes[m], basis.shapes[basis.names.index(likely)]),
         name_probability=naming.probability,

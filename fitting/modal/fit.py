@@ -41,7 +41,12 @@ from fitting.modal.modal_fit import ModalFit
 from fitting.modal.model import DRIVE_DOF, LOSS_PARAMETERS, Model, State, stage_prior, terms
 from fitting.modal.noise import Noise, noise_of
 from fitting.modal.optimiser import inverse
-from fitting.modal.posterior import Posterior, participations, resonant_displacements
+from fitting.modal.posterior import (
+    Posterior,
+    ResonantDisplacements,
+    participations,
+    resonant_displacements,
+)
 from fitting.modal.rounds import (
     LAST,
     Given,
@@ -64,6 +69,9 @@ from holography.arrays import Array
 _DEGREE = 6
 # How often the discrepancy is estimated if the modes are known from another fit.
 _AGAIN = 2
+# Optima below this probability do not count for displacements. Chosen: they move a mean by a
+# hundredth of what they differ by.
+_LEAST_WEIGHT = 0.01
 # Levenberg-Marquardt steps in a round of a rough fit. With 4, and 1 in a stage, rough fits of two
 # sweeps took a fifth less time, and one of them left 3 outliers in place of none.
 _ROUGH_STEPS = 6
@@ -253,8 +261,8 @@ def _finish(
 ) -> ModalFit:
     """Return modes and standard errors.
 
-    Frequencies, losses and their errors are averages over all optima, by their probability; all
-    else is that of the best.
+    Frequencies, losses, displacements and their errors are averages over all optima, by their
+    probability; all else is that of the best.
     """
     best = likeliest(optima)
     weights = probabilities(optima)
@@ -266,8 +274,8 @@ def _finish(
     shared, off = posterior.shared(len(state.shared)), _off(displacements, end.noise)
     # The first values are no error of the light.
     of_light = end.drift.covariance(shared)[:, LOSS_PARAMETERS:, LOSS_PARAMETERS:]
-    resonant = resonant_displacements(model, prior, state, now, posterior, off)
-    follow = influence(best, resonant)
+    alone = resonant_displacements(model, prior, state, now, posterior, off)
+    follow, resonant = influence(best, alone), _as_others(displacements, optima, weights, alone)
     spread = _in_rows(prior, np.sqrt(factor * np.diag(end.covariance)))
     (own_hz, own_loss), mixes = np.exp(logs.reshape(2, -1)), prior.free[count:, :count]
     # Drive and participations have an undetermined common factor: the errors of participations are
@@ -308,6 +316,36 @@ def _finish(
         off=off,
         state=state,
     ).with_errors(_by_other_changes(displacements, end, follow))
+
+
+def _as_others(
+    displacements: Displacements,
+    optima: Sequence[Optimum],
+    weights: Array,
+    best: ResonantDisplacements,
+) -> ResonantDisplacements:
+    """Return the displacements of the best optimum with the sizes, and errors, of all (n,)."""
+    logs = []
+    for each, weight in zip(optima, weights, strict=True):
+        end, own = each.end, best
+        if weight > _LEAST_WEIGHT and each is not likeliest(optima):
+            own = resonant_displacements(
+                each.model,
+                end.prior,
+                end.state,
+                terms(each.model, end.state),
+                Posterior.of(end.here, end.covariance, each.factor),
+                _off(displacements, end.noise),
+            )
+        logs.append(np.log(np.linalg.norm(own.amplitude_rad, axis=1)))
+    mean = weights @ np.array(logs)
+    factor = np.exp(mean - np.log(np.linalg.norm(best.amplitude_rad, axis=1)))
+    sized = replace(
+        best,
+        amplitude_rad=factor[:, None] * best.amplitude_rad,
+        covariance=factor[:, None, None] ** 2 * best.covariance,
+    )
+    return sized.with_errors(weights @ (np.array(logs) - mean) ** 2)
 
 
 def _by_other_changes(displacements: Displacements, end: Round, follow: Influence) -> Array:

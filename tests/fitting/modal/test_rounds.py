@@ -13,7 +13,7 @@ from fitting.modal import search
 from fitting.modal.expected.prior import Prior
 from fitting.modal.field_drift import FIRST_WALK
 from fitting.modal.first_state import at_level, first_state, participation_scale
-from fitting.modal.fit import _model
+from fitting.modal.fit import _as_others, _model
 from fitting.modal.losses import expected_shared, shared_drift
 from fitting.modal.model import (
     CONNECTING,
@@ -258,6 +258,31 @@ def test_the_drive_of_an_outlier_does_not_count_for_displacements(sweep):
     assert sizes[3] == pytest.approx(sizes[1])
     # Interpolated between its neighbours, it is the same within some per cent.
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.005])
+def test_displacements_are_averages_over_all_explanations(sweep, share):
+    """Of a second one, in which the first mode loses a fifth more, and moves as much less."""
+    model, given, state = begun(sweep)
+    end = one_round(model, given, state, NOISE_ALONE, 40)
+    x, loss = end.state.x.copy(), 2 * model.powers.shape[1] + 1
+    x[0, loss] += np.log(1.2)
+    optima = [Optimum.of(each) for each in (end, replace(end, state=replace(end.state, x=x)))]
+    optima[1] = replace(optima[1], log_evidence=optima[0].log_evidence - 1)
+    posterior = Posterior.of(end.here, end.covariance, optima[0].factor)
+    alone = resonant_at(end, posterior)
+    found = _as_others(sweep.displacements, optima, np.array([1 - share, share]), alone)
+    logs = [np.log(np.linalg.norm(each.amplitude_rad, axis=1)) for each in (alone, found)]
+    counts = share if share > 0.01 else 0.0
+    moved = -counts * np.log(1.2)
+    assert logs[1][0] - logs[0][0] == pytest.approx(moved, abs=0.01 * abs(moved) + 1e-12)
+    along = found.amplitude_rad[0] / np.linalg.norm(found.amplitude_rad[0]) ** 2
+    own = alone.amplitude_rad[0] / np.linalg.norm(alone.amplitude_rad[0]) ** 2
+    more = along @ found.covariance[0] @ along - own @ alone.covariance[0] @ own
+    between = counts * (1 - counts) * np.log(1.2) ** 2
+    assert more == pytest.approx(between, rel=0.05, abs=1e-9)
+    # Modes that both explanations have alike keep their size.
+    assert logs[1][1:] == pytest.approx(logs[0][1:], abs=0.02)
 
 
 def test_logs_follow_light_by_the_amplitudes_that_respond_to_it(sweep):

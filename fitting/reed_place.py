@@ -31,9 +31,11 @@ from runs.records import StepRecord
 # a millimetre; 10 mrad are 0.35 mm at the end of the vamp.
 _SHIFT_M, _TURN_RAD = 0.5e-3, 10e-3
 # ... of the size of the image: a tape measures a metre to a centimetre, and laser diodes of one
-# type differ by 10 nm (data sheets). Reeds of one kind are as wide within 0.1 mm of 13, which is
-# less: if one looks wider, its image is taken to be larger.
+# type differ by 10 nm (data sheets).
 _SIZE = 0.018
+# ... and of the width of reeds of one kind, of which edges show no more than the product with the
+# size. Chosen: tips of 13 mm are cut within 0.1 mm, equally distributed.
+_WIDTH = 0.1 / 13 / np.sqrt(3)
 # Light this far on both sides of the edge is looked at, but none near the clamp, where the reed
 # hardly moves. Chosen: four standard deviations of the place, and as many speckles as the edge
 # needs to know how bright it is.
@@ -234,8 +236,8 @@ class _Pixels:
 
     @property
     def deviations(self) -> Array:
-        """Standard deviations (4,) of the place and of the size."""
-        return np.array([_SHIFT_M, _SHIFT_M, _TURN_RAD, _SIZE])
+        """Standard deviations (4,) of the place, and of the size of what is seen."""
+        return np.array([_SHIFT_M, _SHIFT_M, _TURN_RAD, np.hypot(_SIZE, _WIDTH)])
 
     def brightness_terms(self) -> Array:
         """Return the terms (p, c) of the logarithm of the brightness, at the nominal place."""
@@ -284,8 +286,13 @@ def _likeliest(pixels: _Pixels) -> ReedPlace:
     scatter = max(1.0, float(np.mean((pixels.power / mean - 1) ** 2)))
     unit = pixels.deviations
     covariance = scatter * np.linalg.inv(matrix)[_PLACE, _PLACE] * np.outer(unit, unit)
-    along_m, across_m, turn_rad, larger = (found[_PLACE] * unit).tolist()
-    return ReedPlace(along_m, across_m, turn_rad, larger, covariance)
+    along_m, across_m, turn_rad, seen = (found[_PLACE] * unit).tolist()
+    # A reed that looks larger is so a little, and its image mostly.
+    of_image = _SIZE**2 / (_SIZE**2 + _WIDTH**2)
+    covariance[3] *= of_image
+    covariance[:, 3] *= of_image
+    covariance[3, 3] += of_image * _WIDTH**2
+    return ReedPlace(along_m, across_m, turn_rad, of_image * seen, covariance)
 
 
 def _minimum(pixels: _Pixels, terms: Array, start: Array, held: float) -> Array:

@@ -17,6 +17,7 @@ from diagnosis.observable_groups import ObservableGroup
 from physics.alterations import TipMass
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
+from physics.parameters.chamber import Filling
 from physics.parameters.tree import BenchParameters, more, with_alteration, with_part
 
 
@@ -34,9 +35,11 @@ class Experiment:
     change : callable
         ``change(parameters)`` returns the model of the bench during the experiment.
     sd_factor : float
-        Factor on the standard deviations of these observables.
+        Factor on the standard deviations of the noise of these observables.
     campaign_parts : tuple of mapping
         Parts of a campaign file (see `protocols.campaign`); empty if software cannot run it.
+    possible : callable
+        ``possible(parameters)``: whether it can be done on a bench.
     """
 
     id: str
@@ -46,6 +49,7 @@ class Experiment:
     change: Callable[[BenchParameters], BenchParameters]
     sd_factor: float = 1.0
     campaign_parts: tuple[Mapping[str, Any], ...] = ()
+    possible: Callable[[BenchParameters], bool] = lambda _parameters: True
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,7 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
         campaign_parts=(
             _part("open", "take the clay out of the chamber", change={"chamber": "symmetric"}),
         ),
+        possible=lambda parameters: parameters.chamber.filling is Filling.ASYMMETRIC,
     ),
     Experiment(
         "long_rest",
@@ -232,11 +237,11 @@ def _worths(
     models: tuple[BenchParameters, BenchParameters],
     experiments: Sequence[Experiment],
 ) -> Iterator[RankedExperiment]:
-    """Yield what experiments are worth that measure something and leave a reed."""
+    """Yield what experiments are worth that can be done, measure something and leave a reed."""
     by_name = {block.name: block for block in problem.groups}
     for action in experiments:
         chosen = [by_name[name] for name in action.groups if name in by_name]
-        if not chosen:
+        if not chosen or not action.possible(models[0]):
             continue
         with contextlib.suppress(ImpossibleReedError):
             nats = sum(
@@ -331,10 +336,23 @@ def _expected_nats(
     models: tuple[BenchParameters, BenchParameters],
     action: Experiment,
 ) -> float:
-    """Return the expected log odds: half the squared distance of two predictions, whitened."""
-    apart = block.predict(action.change(models[0])) - block.predict(action.change(models[1]))
+    """Return the expected log odds: half the squared distance of two predictions, whitened.
+
+    What the numbers of a group have in common beside their noise, such as the gain of the camera,
+    is the same in the experiment. It is known as well as the campaign shows it, by either model.
+    """
+    measured, apart = (
+        block.predict(change(models[0])) - block.predict(change(models[1]))
+        for change in (_same, action.change)
+    )
+    noise = block.errors.covariance()
+    common = block.covariance - noise
+    # Gain of a Kalman filter: what the campaign has shown of what is common.
+    known = np.linalg.solve(block.covariance, common).T
+    apart = apart - known @ measured
     piece = problem.slices[block.name]
     J = candidate.free_jacobian
     slope = np.linalg.inv(block.whitening) @ (candidate.deviation[piece][:, None] * J[piece])
-    variance = action.sd_factor**2 * block.covariance + slope @ posterior_covariance(J) @ slope.T
+    variance = action.sd_factor**2 * noise + common - known @ common
+    variance += slope @ posterior_covariance(J) @ slope.T
     return 0.5 * float(apart @ np.linalg.solve(variance, apart))

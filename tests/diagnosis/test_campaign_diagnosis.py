@@ -21,8 +21,10 @@ from diagnosis.campaign_diagnosis import (
 )
 from diagnosis.effect_notes import notes_of
 from diagnosis.experiment_design import (
+    EXPERIMENTS,
     Experiment,
     RankedExperiment,
+    _expected_nats,
     rank_experiments,
     unseen_effects,
 )
@@ -33,9 +35,17 @@ from diagnosis.inference.model_selection import each_alone, signatures_of
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.inference.similarity import DETECTION_SIGMA, confusable_classes, detectability_of
-from diagnosis.observable_groups import Coordinates, Observable, observable_group
+from diagnosis.observable_groups import (
+    DISORDER,
+    Coordinates,
+    Errors,
+    GroupNuisances,
+    Observable,
+    observable_group,
+)
 from physics.effects.catalogue import BY_ID
-from physics.parameters.tree import BenchParameters
+from physics.parameters.chamber import Filling
+from physics.parameters.tree import BenchParameters, with_part
 from reports.diagnosis_json import to_json
 from reports.diagnosis_page import (
     GROUP_WORDS,
@@ -402,6 +412,38 @@ def test_actions_are_ranked_by_what_they_tell_in_a_minute() -> None:
     apart = lines.predict(slope.parameters(problem)) - lines.predict(bump.parameters(problem))
     most = 0.5 * float(np.sum((apart / 0.05) ** 2))
     assert 0.2 * most < by_id["known"].expected_nats < most
+
+
+@pytest.mark.parametrize("common", [0.0, 0.1, 10.0])
+def test_repeating_does_not_measure_what_all_repeats_have_in_common(common: float) -> None:
+    """Such as the gain of a camera: two candidates differ by as much as it may be off."""
+    level = GroupNuisances("gain", np.full((3, 1), common), DISORDER, "toy")
+    group = observable_group(
+        "lines", Observable.SENSOR, np.zeros(3), Errors(np.full(3, 0.1), (level,)),
+        [Coordinates("gain")] * 3, ("optics",),
+        lambda parameters: np.full(3, parameters.optics.interference.leak),
+    )  # fmt: skip
+    none = Nuisance("none", "", 1.0, lambda parameters, _: parameters, "nothing")
+    problem = InferenceProblem([group], BenchParameters(), (none,))
+    null = fitted(problem)
+    models = BenchParameters(), with_part(BenchParameters(), "optics.interference", leak=0.3)
+
+    def same(parameters: BenchParameters) -> BenchParameters:
+        return parameters
+
+    repeat = Experiment("repeat", "", 10.0, ("lines",), same)
+    found = _expected_nats(problem, group, null, models, repeat)
+    # Of the mean of three: what one more repeat adds to one, by the formula of two numbers.
+    noise, own = 0.1**2 / 3, common**2
+    both = 0.5 * 0.3**2 / (noise / 2 + own)
+    assert found == pytest.approx(both - 0.5 * 0.3**2 / (noise + own), rel=1e-6)
+
+
+def test_clay_is_taken_out_only_where_there_is_some() -> None:
+    (without,) = (each for each in EXPERIMENTS if each.id == "without_clay")
+    for filling in Filling:
+        parameters = with_part(BenchParameters(), "chamber", filling=filling)
+        assert without.possible(parameters) == (filling is Filling.ASYMMETRIC)
 
 
 def test_what_would_show_an_effect_that_is_too_small() -> None:

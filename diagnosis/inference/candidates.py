@@ -7,8 +7,8 @@ nuisances as linear.
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -42,6 +42,8 @@ _LEAST_GAIN = 1e-4
 # the next step would gain nothing; at most this often. Chosen: within a third, slopes change the
 # cost by less than a tenth of a nat, and most searches need five turns.
 _AT_REST, _MOST_TURNS = 0.35, 12
+# Information, in units of the noise, of a size that changes nothing.
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,8 @@ class Candidate:
         What the strengths of the other effects add to it.
     log_hidden : float
         Log evidence with the strengths of the last effect that would not show.
+    slopes : (n, s) float
+        What one unit of each size changes, in units of the noise.
     """
 
     effects: tuple[LocatedEffect, ...]
@@ -84,6 +88,7 @@ class Candidate:
     elsewhere: float = 0.0
     of_others: float = 0.0
     log_hidden: float = -np.inf
+    slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -103,13 +108,32 @@ class Candidate:
 
     @property
     def size_estimates(self) -> dict[str, list[tuple[Parameter, float, float]]]:
-        """For each effect, its sizes with value and error in units of their scales."""
-        errors = np.sqrt(np.diag(self.estimate.covariance))[-len(self.sizes) :]
+        """For each effect, its sizes with value and error in units of their scales.
+
+        Errors are as large as the likeliest scales of noise, nuisances and form make them.
+        """
+        errors = self._errors
         found = iter(zip(self.sizes.tolist(), errors.tolist(), strict=True))
         return {
             located.effect.id: [(parameter, *next(found)) for parameter in located.sizes]
             for located in self.effects
         }
+
+    @cached_property
+    def _errors(self) -> Array:
+        """Standard errors (s,) of the sizes, in units of their scales."""
+        errors = np.sqrt(np.diag(self.estimate.covariance))[-len(self.sizes) :]
+        usual, own = (
+            np.maximum(np.einsum("ns,nm,ms->s", self.slopes, precision, self.slopes), _NOTHING)
+            for precision in (
+                weighed_at(self.model, self.model.usual).precision,
+                self.weighed.precision,
+            )
+        )
+        strengths = [bool(size.most) for located in self.effects for size in located.sizes]
+        # Strengths are no surer than all numbers together make them, in whatever form.
+        least = np.where(strengths, 1 / np.sqrt(own), 0.0)
+        return np.asarray(np.maximum(errors * np.sqrt(usual / own), least))
 
     @property
     def whitened_residual(self) -> Array:
@@ -261,11 +285,15 @@ def _candidate(
             covariance=posterior_covariance(slopes),
             cost=float(left @ left + found.z @ found.z),
         )
+    slopes = found.jacobian[:, len(problem.nuisances) :] * deviation[:, None]
     chi2 = {
         name: float(np.sum((found.residuals * deviation)[piece] ** 2))
         for name, piece in problem.slices.items()
     }
-    return Candidate(effects, found, log_evidence, chi2, deviation, model, weighed)
+    return Candidate(
+        effects, found, log_evidence, chi2, deviation, model, weighed,
+        slopes=problem.to_noise(slopes),
+    )  # fmt: skip
 
 
 def fit_fully(

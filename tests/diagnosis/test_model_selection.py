@@ -27,7 +27,7 @@ from diagnosis.inference.problem import LocatedEffect
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters, more
-from tests.diagnosis.toy import AT, EFFECTS, bench, effect, measured
+from tests.diagnosis.toy import AT, EFFECTS, bench, effect, fitted, measured
 
 
 def probabilities(problem):
@@ -127,8 +127,31 @@ def test_sizes_come_back_within_their_errors() -> None:
     found = select_model(measured(7, bench(fade_per_h=0.5, leak=0.3)), EFFECTS).single["slope"]
     ((size, z, error),) = found.size_estimates["slope"]
     assert size.scale * z == pytest.approx(0.3, abs=4 * size.scale * error)
-    assert size.scale * error < 0.02
+    # By the noise 0.01; and a form that may deviate by a fifth, in bands and times by themselves.
+    assert 0.01 < size.scale * error < 0.6 * 0.18 * 0.3
     assert found.names == ("slope",)
+
+
+@pytest.mark.parametrize("louder", [1.0, 3.0])
+def test_sizes_are_as_unsure_as_this_bench_scatters(louder: float) -> None:
+    """Noise three times as loud as stated makes their errors three times as large."""
+    off, errors = [], []
+    for seed in range(24):
+        stated = measured(seed, bench(leak=1.2))
+        scattered = measured(seed, bench(leak=1.2), noise=0.05 * louder)
+        blocks = [
+            replace(a, values=b.values)
+            for a, b in zip(stated.groups, scattered.groups, strict=True)
+        ]
+        problem = type(stated)(blocks, BenchParameters(), stated.nuisances)
+        ((size, z, error),) = fitted(problem, EFFECTS[0]).size_estimates["slope"]
+        off.append(size.scale * z - 1.2)
+        errors.append(size.scale * error)
+    # A form that deviates by a fifth is in the errors, and not in these draws.
+    assert np.std(off) < np.mean(errors)
+    noise = louder * 0.05 / np.sqrt(np.sum(AT**2) + 0.09 * np.sum(AT[:20] ** 2))
+    assert np.std(off) == pytest.approx(noise, rel=0.5)
+    assert np.mean(errors) > 0.9 * noise
 
 
 def test_a_louder_noise_than_stated_is_no_effect() -> None:

@@ -23,7 +23,7 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.sweeps import SweepReading, common_modes, loudest
+from diagnosis.readings.sweeps import SweepReading, common_modes, loudest, reference_of
 from holography.arrays import Array
 from physics.alterations import MovedClamp, YieldingClamp
 from physics.conditions import change_of_cane, condition_at, hardened
@@ -196,10 +196,10 @@ def _nuisances(
     loss = np.array([what.startswith("loss") for _, _, what in rows])
     sweep = np.array([number for number, _, _ in rows])
     each = np.eye(2 * len(common))[modes + len(common) * loss]
-    first = sweeps[0]
-    at = np.array([first.names.index(name) for name in common], dtype=int)
+    reference = reference_of(sweeps)
+    at = np.array([reference.names.index(name) for name in common], dtype=int)
     in_common = np.sqrt(1 - np.minimum(shares, _MOST_OWN) ** 2)
-    fit = in_common[:, None] * np.linalg.cholesky(_of_fit(first, at))
+    fit = in_common[:, None] * np.linalg.cholesky(_of_fit(reference, at))
     detail = np.where(loss, _LOSS, _DETAIL_CENTS)[:, None] * each
     warmth = np.where(loss, _LOSS_C, _CENTS_C)[:, None] * np.eye(len(sweeps))[sweep] * _ROOM_C
     found = [

@@ -21,7 +21,7 @@ from diagnosis.observable_source import GroupSource
 from diagnosis.observables.carrier import Leaks
 from diagnosis.observables.light import leaks_of
 from diagnosis.readings.campaign_readings import Readings
-from diagnosis.readings.sweeps import SweepReading
+from diagnosis.readings.sweeps import SweepReading, reference_of
 from fitting.fringes.start_frequencies import SHAPES_HZ
 from holography.arrays import Array
 from physics.errors import ImpossibleReedError
@@ -69,11 +69,12 @@ def shapes_group(
 ) -> ObservableGroup | None:
     """Compare mode shapes with the model's; None if none is well determined."""
     known = reed_solver.modes(nominal.reed)
-    names = [n for n in sweeps[0].names if n in known and known[n].hz < _HIGHEST_HZ]
+    reference = reference_of(sweeps)
+    names = [n for n in reference.names if n in known and known[n].hz < _HIGHEST_HZ]
     shares = _seen_shares(sweeps, names)
     if not shares:
         return None
-    elastic = _Elastic.of(reed_solver, sweeps[0], nominal)
+    elastic = _Elastic.of(reed_solver, reference, nominal)
 
     def predict(parameters: BenchParameters) -> Array:
         modes = reed_solver.modes(parameters.reed)

@@ -192,5 +192,5 @@ def _missing(
     for sweep in sweeps:
         compared = {*sweep.names} & {*common_modes(sweeps)}
         if 2 * len(compared) < len(sweep.names):
-            missing.append(f"modes of {sweep.name} that the first sweep shows (few are compared)")
+            missing.append(f"modes of {sweep.name} that other sweeps show (few are compared)")
     return missing

@@ -432,11 +432,19 @@ def _middle_s(step: StepRecord) -> float:
     return float(np.mean(step.timestamps_s))
 
 
+def reference_of(sweeps: Sequence[SweepReading]) -> SweepReading:
+    """Return the sweep that names most of the modes that all sweeps but one name."""
+    names = [name for sweep in sweeps for name in sweep.names]
+    often = {name for name in names if names.count(name) >= max(1, len(sweeps) - 1)}
+    return max(sweeps, key=lambda sweep: len(often.intersection(sweep.names)))
+
+
 def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
-    """Modes that the first sweep tells, and all others but one."""
+    """Modes that the reference names (`reference_of`), and all other sweeps but one."""
+    reference = reference_of(sweeps)
     return [
         name
-        for name, hz in zip(sweeps[0].names, sweeps[0].hz.tolist(), strict=True)
+        for name, hz in zip(reference.names, reference.hz.tolist(), strict=True)
         if sum(name in sweep.names for sweep in sweeps) >= max(1, len(sweeps) - 1)
         and hz < _HIGHEST_HZ
     ]

@@ -24,6 +24,7 @@ from diagnosis.readings.carrier import read_carriers
 from diagnosis.readings.mean_drive import mean_drive
 from diagnosis.readings.reed_at_rest import read_rest_holograms
 from diagnosis.readings.step_log import read_step_log
+from diagnosis.readings.sweeps import common_modes
 from diagnosis.readings.templates import TEMPLATES
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
@@ -241,6 +242,24 @@ def test_sweeps_without_common_modes_tell_none() -> None:
     )
     assert modes_group([sweep(names=("X9",))], FewModes(), NO_LEAKS, BenchParameters()) is None
     assert force_group([sweep(), high], FewModes(), BenchParameters()) is None
+
+
+@pytest.mark.parametrize("place", [0, 1, 3])
+def test_a_poor_sweep_takes_no_mode_from_the_others(place: int) -> None:
+    """Such as a first one at too few volts, whose fit is a hundred times less sure."""
+    good = [sweep(name) for name in ("up", "down", "again")]
+    poor = sweep("trial", names=("F1",), covariance=1e-4 * np.eye(2))
+    every = [*good[:place], poor, *good[place:]]
+    assert common_modes(every) == list(MODES)
+    found = modes_group(every, FewModes(), NO_LEAKS, BenchParameters())
+    assert len(found.values) == 2 * (3 * len(MODES) + 1)
+    (fit,) = (one for one in found.errors.nuisances if one.name == "fit")
+    # What sweeps have in common is the error of a good fit.
+    alone = modes_group(good, FewModes(), NO_LEAKS, BenchParameters())
+    (own,) = (one for one in alone.errors.nuisances if one.name == "fit")
+    assert 0 < np.abs(fit.columns).max() < 1.3 * np.abs(own.columns).max()
+    missing = _missing(SimpleNamespace(missing=[]), BenchFile.from_file(), every, saturated=False)
+    assert missing == []
 
 
 def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:

@@ -119,7 +119,8 @@ def unshifted_light(
     """Light that leaks into sweeps, by their names, where it is so much that fits would suffer.
 
     It is as large in all holograms of a sweep, and its phase in each is what the reed shows where
-    it would meet its clamp. The sweep of smallest amplitude determines how large.
+    it would meet its clamp. The sweep of smallest amplitude determines how large. Sweeps of one
+    level do not tell it from what moves.
 
     Parameters
     ----------
@@ -129,8 +130,8 @@ def unshifted_light(
     """
     if not carriers:
         return {}
-    calmest = min(carriers, key=lambda carrier: carrier.volts)
-    usual = float(carrier_floor([calmest])[0])
+    number = int(np.argmin([carrier.volts for carrier in carriers]))
+    calmest, usual = carriers[number], float(carrier_floor(carriers)[number])
     share = float(np.sqrt(max(calmest.share**2 - usual**2, 0.0)))
     if share < max(_LEAST_TAKEN_OFF, 2 * usual):
         return {}
@@ -160,9 +161,6 @@ def _unshifted(part: CampaignRun, at_rest: ComplexArray, share: float) -> Unshif
     return UnshiftedLight(at_rest.astype(np.complex64), shares)
 
 
-# What reeds move by next to the clamp in holograms of small amplitude, in units of the light, per
-# volt, where no sweep at another level tells it. Chosen: so much moves the paper's reeds.
-_MOVES = 6e-4
 # That quantile of numbers that are noise alone, in units of its root mean square.
 _NOISE = float(np.sqrt(-np.log1p(-_QUANTILE)))
 # Sweeps tell vibration from leaked light if the loudest has this many times the volts of another.
@@ -172,14 +170,14 @@ _LOUDER = 1.5
 def carrier_floor(carriers: Sequence[CarrierReading]) -> Array:
     """Return the apparent carrier (c,) where none leaks in: noise, and a reed that moves.
 
-    Reeds move in proportion to the volts; what leaks in is as large at all levels. A campaign
-    without light at rest has no carriers.
+    Reeds move in proportion to the volts; what leaks in is as large at all levels. Of sweeps of one
+    level, all that they show may be what moves. A campaign without light at rest has no carriers.
     """
     volts = np.array([c.volts for c in carriers])
     noise = _NOISE * np.array([c.error for c in carriers])
-    moves = _MOVES
+    square = np.array([c.share for c in carriers]) ** 2 - noise**2
+    moves = float(np.sqrt(np.median(np.maximum(square, 0.0) / volts**2))) if volts.size else 0.0
     if volts.size and volts.max() > _LOUDER * volts.min():
-        square = np.array([c.share for c in carriers]) ** 2 - noise**2
         columns = np.stack([np.ones_like(volts), volts**2], axis=1)
         # Shares are known within a share of themselves, and so are their squares.
         weight = 1 / np.maximum(np.abs(square), noise**2)

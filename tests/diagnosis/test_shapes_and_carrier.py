@@ -195,7 +195,7 @@ def part(name, run, clamping=0):
 
 def test_what_leaks_in_is_measured_hologram_by_hologram_though_the_reed_moves() -> None:
     quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
-    carriers = [CarrierReading("quiet", 0.02, 1e-5, 2.0)]
+    carriers = [CarrierReading("quiet", 0.02, 1e-5, 2.0), CarrierReading("loud", 0.02, 1e-5, 8.0)]
     found = unshifted_light([part("quiet", quiet)], [part("rest", still)], carriers)["quiet"]
     np.testing.assert_allclose(found.light, quiet.light, rtol=1e-6)
     shares = np.array([found.fraction[k] for k in range(40)])
@@ -205,11 +205,28 @@ def test_what_leaks_in_is_measured_hologram_by_hologram_though_the_reed_moves() 
 
 def test_little_light_and_light_of_another_clamping_stay() -> None:
     quiet, still = Held(0.02, 1, volts=2.0), Held(0.0, 2)
-    little = [CarrierReading("quiet", 2e-3, 1e-5, 2.0)]
-    much = [CarrierReading("quiet", 0.02, 1e-5, 2.0)]
+    little, much = (
+        [CarrierReading("quiet", share, 1e-5, 2.0), CarrierReading("loud", share, 1e-5, 8.0)]
+        for share in (2e-3, 0.02)
+    )
+    assert unshifted_light([part("quiet", quiet)], [part("rest", still)], much) != {}
     assert unshifted_light([part("quiet", quiet)], [part("rest", still)], little) == {}
     assert unshifted_light([part("quiet", quiet, 1)], [part("rest", still)], much) == {}
     assert unshifted_light([part("quiet", quiet)], [part("rest", still)], []) == {}
+
+
+@pytest.mark.parametrize("per_volt", [6e-4, 2e-2])
+def test_a_reed_that_moves_as_much_as_it_likes_leaks_no_carrier(per_volt: float) -> None:
+    """A loudspeaker may be thirty times as sensitive as another: it is the volts that tell."""
+    for volts in ([0.3], [0.3, 0.33], [0.1, 0.3, 1.2]):
+        carriers = [
+            CarrierReading(f"{v}", float(np.hypot(per_volt * v, 5e-5)), 1e-4, v) for v in volts
+        ]
+        group = carrier_group(carriers)
+        assert np.abs(group.whitened_residual(BenchParameters())).max() < 1
+        quiet, still = Held(0.02, 1, volts=volts[0]), Held(0.0, 2)
+        runs = [part(f"{volts[0]}", quiet)], [part("rest", still)]
+        assert unshifted_light(*runs, carriers) == {}
 
 
 def test_layers_have_nearly_all_of_the_variance_of_a_map_of_thickness():

@@ -51,6 +51,10 @@ _MODE_DISTANCE = 0.19
 # Light and vibration of a sweep are confounded as finely as modes are (decision 0047): log
 # brightness of each sweep; and in each band of a sweep of another clamping. Chosen.
 _SWEEP, _BAND = 0.01, 0.03
+# Least error of the log brightness of a piece. Chosen: a tenth of a per cent of brightness.
+_LEAST = 1e-3
+# Variance of a median around the mean of the same numbers, over that of the mean, of normal ones.
+_OF_MEDIAN = 0.5 * np.pi - 1
 
 
 def log_light(time_s: Array, beams: Interference) -> Array:
@@ -75,6 +79,7 @@ def brightness_group(
     values, variance, places, columns = [], [], [], []
     pieces: list[tuple[int, NDArray[np.intp]]] = []
     spreads: list[float] = []
+    of_stills: list[float] = []
     for row, sweep in enumerate(sweeps):
         order = np.argsort(sweep.time_s)
         own = table.relative[row][order]
@@ -85,7 +90,7 @@ def brightness_group(
             if not piece.size:
                 continue
             values.append(float(np.median(table.relative[row][piece])))
-            variance.append(_ALIKE * 1.57 * spread**2 / len(piece) + 1e-6)
+            variance.append(_ALIKE * _OF_MEDIAN * spread**2 / len(piece) + _LEAST**2)
             pieces.append((row, piece))
             places.append(Coordinates("fringes", time=f"{sweep.name} {number + 1}"))
             columns.append(table.shared(row, piece))
@@ -96,7 +101,7 @@ def brightness_group(
         for number, at in enumerate(still.run_time_s):
             own_brightness = still.brightness[still.run == number]
             values.append(float(np.mean(own_brightness)))
-            variance.append(_ALIKE * own_spread**2 / len(own_brightness))
+            of_stills.append(_ALIKE * own_spread**2 / len(own_brightness))
             still_s.append(float(at))
             places.append(Coordinates("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
@@ -108,13 +113,18 @@ def brightness_group(
         return np.array([*of_sweeps, *at_rest])
 
     usual = {name for column in columns for name in column if _is_open(name)}
-    noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
+    seen = _as_pieces(table, pieces)
+    noise = np.diag([*variance, *of_stills])
+    noise += _shared([_chosen(column, usual) for column in columns])
+    noise[: len(pieces), : len(pieces)] += _of_holograms(table, seen, spreads)
     own = columns_of([_chosen(column, {*column} - usual) for column in columns])
+    whole = np.zeros((len(own), len(sweeps)))
+    whole[: len(pieces)] = _SWEEP * seen @ _of_sweeps(table)
     errors = Errors(
         noise,
         (
-            GroupNuisances("light of sweeps", own, DISORDER, "decision 0047"),
-            *_changes(table, pieces, np.array(still_s), acquired_s),
+            GroupNuisances("light of sweeps", np.hstack([whole, own]), DISORDER, "decision 0047"),
+            *_changes(table, seen, np.array(still_s), acquired_s),
         ),
     )
     return observable_group(
@@ -131,9 +141,32 @@ def _chosen(column: dict[str, float], names: set[str]) -> dict[str, float]:
     return {name: size for name, size in column.items() if name in names}
 
 
+def _of_sweeps(table: "_Brightness") -> Array:
+    """Return of which sweep (k, s) each hologram of all sweeps is."""
+    counts = [len(sweep.time_s) for sweep in table.sweeps]
+    return np.repeat(np.eye(len(counts)), counts, axis=0)
+
+
+def _of_holograms(table: "_Brightness", seen: Array, spreads: Sequence[float]) -> Array:
+    """Return the covariance (n, n) of pieces by what single holograms scatter.
+
+    Parameters
+    ----------
+    table : _Brightness
+    seen : (n, k) float
+        See `_as_pieces`.
+    spreads : (s,) sequence of float
+        By which holograms of each sweep scatter around the mean of sweeps, which takes along a
+        share of it.
+    """
+    like = max(int(np.count_nonzero(table.like)), 1)
+    own = np.square(spreads) * (like / max(like - 1, 1))
+    return np.asarray(_ALIKE * (seen * (_of_sweeps(table) @ own)) @ seen.T)
+
+
 def _changes(
     table: "_Brightness",
-    pieces: Sequence[tuple[int, NDArray[np.intp]]],
+    seen: Array,
     still_s: Array,
     acquired_s: Array,
 ) -> tuple[GroupNuisances, GroupNuisances]:
@@ -145,8 +178,8 @@ def _changes(
     Parameters
     ----------
     table : _Brightness
-    pieces : sequence of (int, (p,) int)
-        Number of a sweep and its holograms.
+    seen : (n, k) float
+        See `_as_pieces`.
     still_s : (r,) float
         Times at rest.
     acquired_s : (k,) float
@@ -157,7 +190,6 @@ def _changes(
     walk = np.minimum.outer(steps, steps)
     log_hz = np.log(np.concatenate([sweep.drive_hz for sweep in table.sweeps]))
     near = np.exp(-0.5 * (np.subtract.outer(log_hz, log_hz) / _MODE_DISTANCE) ** 2)
-    seen = _as_pieces(table, pieces)
     of_all, local = block_diag(seen, rest), block_diag(seen, 0 * rest)
     columns = (
         FIELD_CHANGE * _root(of_all @ walk @ of_all.T),
@@ -305,10 +337,9 @@ class _Brightness:
     def shared(self, row: int, piece: NDArray[np.intp]) -> dict[str, float]:
         """What a piece of a sweep shares with others, by name, with deviations."""
         sweep = self.sweeps[row]
-        columns = {f"sweep {sweep.name}": _SWEEP}
         if self.like[row]:
-            return columns
-        columns[f"speckle between {sweep.clamping}"] = _SPECKLE
+            return {}
+        columns = {f"speckle between {sweep.clamping}": _SPECKLE}
         bands = np.array([band_of(hz) for hz in sweep.drive_hz[piece]])
         for band in BANDS:
             columns[f"{band} of {sweep.name}"] = _BAND * float(np.mean(bands == band))

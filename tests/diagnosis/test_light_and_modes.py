@@ -149,6 +149,25 @@ def test_brightness_that_walks_is_as_uncertain_as_walks_make_it() -> None:
     assert np.quantile(sums, 0.95) < 1.8
 
 
+def test_of_two_sweeps_what_one_is_brighter_by_is_what_the_other_is_darker_by() -> None:
+    """It counts once: up and down are both compared with their mean."""
+    rng, k = np.random.default_rng(3), np.arange(COUNT)
+    up, down = sweep("up", 1.0, 0.0), sweep("down", 1.0, 0.0)
+    for one in (up, down):
+        one.signal = 0.02 * rng.standard_normal(COUNT)
+    down.time_s = 600.0 + k[::-1]
+    block = brightness_group([up, down], [])
+    noise = block.errors.covariance()
+    deviation = np.sqrt(np.diag(noise))
+    # The first eighth of the way up has the frequencies of the last one of the way down.
+    for piece in range(8):
+        correlation = noise[piece, 15 - piece] / (deviation[piece] * deviation[15 - piece])
+        assert correlation == pytest.approx(-1 / (0.5 * np.pi), abs=0.05)
+    # A mean of 23 holograms of 2 %, less that of both sweeps, and a median is less sure.
+    usual = np.sqrt(3 * 0.5 * np.pi * 0.02**2 / 2 / 23)
+    assert np.median(deviation) == pytest.approx(usual, rel=0.25)
+
+
 def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> None:
     """Each of forty places walks by itself, and counts around frequencies of its own."""
     rng, names, k = np.random.default_rng(9), ("up", "down", "shuffled"), np.arange(COUNT)

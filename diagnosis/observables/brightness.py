@@ -79,7 +79,6 @@ def brightness_group(
     values, variance, places, columns = [], [], [], []
     pieces: list[tuple[int, NDArray[np.intp]]] = []
     spreads: list[float] = []
-    of_stills: list[float] = []
     for row, sweep in enumerate(sweeps):
         order = np.argsort(sweep.time_s)
         own = table.relative[row][order]
@@ -101,7 +100,7 @@ def brightness_group(
         for number, at in enumerate(still.run_time_s):
             own_brightness = still.brightness[still.run == number]
             values.append(float(np.mean(own_brightness)))
-            of_stills.append(_ALIKE * own_spread**2 / len(own_brightness))
+            variance.append(_ALIKE * own_spread**2 / len(own_brightness))
             still_s.append(float(at))
             places.append(Coordinates("order 0", time=f"at rest {still.clamping + 1}.{number + 1}"))
             columns.append({f"speckle {still.clamping}": _SPECKLE, "order": _ORDER})
@@ -112,24 +111,49 @@ def brightness_group(
         at_rest = log_light(np.array(still_s), parameters.optics.interference)
         return np.array([*of_sweeps, *at_rest])
 
-    usual = {name for column in columns for name in column if _is_open(name)}
-    seen = _as_pieces(table, pieces)
-    noise = np.diag([*variance, *of_stills])
-    noise += _shared([_chosen(column, usual) for column in columns])
-    noise[: len(pieces), : len(pieces)] += _of_holograms(table, seen, spreads)
-    own = columns_of([_chosen(column, {*column} - usual) for column in columns])
-    whole = np.zeros((len(own), len(sweeps)))
-    whole[: len(pieces)] = _SWEEP * seen @ _of_sweeps(table)
-    errors = Errors(
-        noise,
-        (
-            GroupNuisances("light of sweeps", np.hstack([whole, own]), DISORDER, "decision 0047"),
-            *_changes(table, seen, np.array(still_s), acquired_s),
-        ),
-    )
+    errors = _errors(
+        table, pieces, variance, columns, spreads, np.array(still_s), acquired_s,
+    )  # fmt: skip
     return observable_group(
         "brightness", Observable.FIELD, values, errors, places, ("optics",), predict
     )
+
+
+def _errors(
+    table: "_Brightness",
+    pieces: Sequence[tuple[int, NDArray[np.intp]]],
+    variance: Sequence[float],
+    columns: Sequence[dict[str, float]],
+    spreads: Sequence[float],
+    still_s: Array,
+    acquired_s: Array,
+) -> Errors:
+    """Return the errors of n numbers: of pieces of sweeps, then of runs at rest.
+
+    Parameters
+    ----------
+    table : _Brightness
+    pieces : sequence of (int, (p,) int)
+        Number of a sweep and its holograms.
+    variance : (n,) sequence of float
+        What each number scatters by itself.
+    columns : (n,) sequence of dict
+        What numbers share, by name.
+    spreads : (s,) sequence of float
+        See `_of_holograms`.
+    still_s : (r,) float
+        Times at rest.
+    acquired_s : (k,) float
+        Times of all acquisitions.
+    """
+    usual = {name for column in columns for name in column if _is_open(name)}
+    seen, own = _as_pieces(table, pieces), np.zeros((len(variance), len(table.sweeps)))
+    noise = np.diag(variance) + _shared([_chosen(column, usual) for column in columns])
+    noise[: len(pieces), : len(pieces)] += _of_holograms(table, seen, spreads)
+    own[: len(pieces)] = _SWEEP * seen @ _of_sweeps(table)
+    others = columns_of([_chosen(column, {*column} - usual) for column in columns])
+    light = GroupNuisances("light of sweeps", np.hstack([own, others]), DISORDER, "decision 0047")
+    return Errors(noise, (light, *_changes(table, seen, still_s, acquired_s)))
 
 
 def _is_open(name: str) -> bool:

@@ -345,7 +345,7 @@ def fit_runs(
         try:
             resonances = {Series(s.series): s.resonances for s in sweeps}
             parameters = _parameters(resonances, forward, reed, known_effects_in(runs))
-        except FitError as error:
+        except (FitError, ImpossibleReedError) as error:
             return ReedFit(tuple(sweeps), None, str(error))
         return ReedFit(tuple(sweeps), parameters, losses=_losses(sweeps, parameters, reed))
 

@@ -22,6 +22,7 @@ from fitting.errors import FitError
 from fitting.forward import PaperModel
 from fitting.fringes.pictures import read_pictures
 from fitting.reed_place import ReedPlace
+from physics.errors import ImpossibleReedError
 from physics.reed.cane.viscoelastic import (
     Series,
     storage_modulus_pa,
@@ -295,6 +296,17 @@ def test_too_few_modes_give_no_parameters_and_say_so(changed, quick_model, aroun
     assert set(fit.sweeps[0].resonances) == set(inside)
     assert fit.parameters is None
     assert f"{len(inside)} resonances cannot fix 3 components" in fit.reason
+
+
+def test_cane_that_is_impossible_takes_no_resonance_away(changed, quick_model, monkeypatch):
+    def impossible(*_args):
+        raise ImpossibleReedError("no such cane")
+
+    monkeypatch.setattr("fitting.cane.fit_runs._parameters", impossible)
+    fit = fit_runs([changed(only=NEAR_T1)], method="picture")
+    assert fit.sweeps[0].resonances
+    assert fit.parameters is None
+    assert fit.reason == "no such cane"
 
 
 def test_an_unknown_forward_model_is_refused():

@@ -263,12 +263,14 @@ def _judged(
         checks=predictive_checks(problem, named_or_none, left_out),
         floor=floor_certificate(problem, named_or_none, inflated),
         explained_with=chosen.names,
-        explained=explained_fraction(found.null, chosen, _where(groups, acts)),
-        explained_other_sweep=explained_fraction(found.null, chosen, _where(left_out, acts))
+        explained=explained_fraction(problem, found.null, chosen, _where(groups, acts)),
+        explained_other_sweep=explained_fraction(
+            problem, found.null, chosen, _where(left_out, acts)
+        )
         if condition
         else None,
         explained_by={
-            name: explained_fraction(found.null, candidate, groups)
+            name: explained_fraction(problem, found.null, candidate, groups)
             for name, candidate in _better(found).items()
         },
         gaps_in_units=tuple(gaps_in_units(problem, found.null, chosen)),
@@ -320,7 +322,7 @@ def known_gap(problem: InferenceProblem, null: Candidate, foreseen: bool) -> Kno
     return KnownGap(
         problem.known,
         foreseen,
-        explained_fraction(without, null, _where(_groups(problem), acts)),
+        explained_fraction(problem, without, null, _where(_groups(problem), acts)),
         tuple(gaps_in_units(problem, without, null)),
     )
 

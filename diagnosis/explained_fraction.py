@@ -1,27 +1,32 @@
 """Explained fraction: how much of a gap an effect closes, on numbers that the fit has not seen.
 
 Numbers are left out in groups, such as all of a mode or all of a sweep, and predicted by the rest:
-exactly, in the model that is linear around the fit. The gap is the mean square of what is left
-there, in units of how well it could be predicted, over the 1 that a right model would leave.
+exactly, in the model that is linear around the fit, with all that numbers have in common. The gap
+is the mean square of what is left there, in units of how well it could be predicted, over the 1
+that a right model would leave.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from scipy.stats import chi2
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.estimation import residual_covariance
+from diagnosis.inference.linear_model import weighed_at
 from diagnosis.inference.problem import InferenceProblem
+from holography.arrays import Array
 from physics.sized_effect import SizedEffect
 
 # Chosen: quantiles of 5 and 95 % come out within 2 % of the width.
 _DRAWS = 2000
 # A gap that chance makes more often than this is not resolvable. Chosen, as for a significant test.
 _CHANCE = 0.01
+# Standard deviation of sizes, in their scales: the largest strength is two of these.
+_ANY_SIZE = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,12 +52,17 @@ class ExplainedFraction:
 
 
 def explained_fraction(
-    null: Candidate, candidate: Candidate, groups: Sequence[str], seed: int = 0
+    problem: InferenceProblem,
+    null: Candidate,
+    candidate: Candidate,
+    groups: Sequence[str],
+    seed: int = 0,
 ) -> ExplainedFraction:
     """Return the fraction of the gap that a candidate closes, on groups that are left out.
 
     Parameters
     ----------
+    problem : InferenceProblem
     null, candidate : Candidate
     groups : sequence of str
         Name of each number's group; numbers whose group is empty are never left out.
@@ -63,7 +73,13 @@ def explained_fraction(
     if not names:
         return ExplainedFraction(*[np.nan] * 6)
     labels = np.array(groups)
-    rows = np.array([_left_out((null, candidate), labels == name) for name in names])
+    each = [_Predicted.of(problem, one) for one in (null, candidate)]
+    rows = np.array(
+        [
+            (*(one.square(labels == name) for one in each), np.count_nonzero(labels == name))
+            for name in names
+        ]
+    )
     rng = np.random.default_rng(seed)
     count = len(names)
     drawn = rng.multinomial(count, np.full(count, 1 / count), size=_DRAWS) if count > 1 else None
@@ -160,16 +176,42 @@ def gaps_in_units(
     return told
 
 
-def _left_out(
-    candidates: tuple[Candidate, Candidate], chosen: NDArray[np.bool_]
-) -> tuple[float, float, float]:
-    """Return squared residuals of a left-out group, without and with effects, and its count."""
-    squares, at = [], np.flatnonzero(chosen)
-    for candidate in candidates:
-        J, wide = candidate.free_jacobian, candidate.deviation[at]
-        inner = residual_covariance(J, at)
-        out = wide * np.linalg.solve(inner, candidate.estimate.residuals[at])
-        # Errors of the prediction, and of the data by themselves: form is no excuse here.
-        predicted = wide[:, None] * (np.linalg.inv(inner) - np.eye(len(at))) * wide
-        squares.append(float(out @ np.linalg.solve(np.eye(len(at)) + predicted, out)))
-    return squares[0], squares[1], float(len(at))
+@dataclass(frozen=True)
+class _Predicted:
+    """What all numbers say of each other around the fit of a candidate.
+
+    Attributes
+    ----------
+    precision : (n, n) float
+        Inverse covariance of the numbers, with noise and nuisances of usual size and effects of
+        any size. The form of effects is no excuse here.
+    pull : (n,) float
+        This times what the model is off by.
+    """
+
+    precision: Array
+    pull: Array
+
+    @classmethod
+    def of(cls, problem: InferenceProblem, candidate: Candidate) -> "_Predicted":
+        """Compute it, in the units of the numbers."""
+        model, sizes = candidate.model, candidate.slopes
+        own = model.family != len(model.family_freedom) - 1
+        bare = replace(
+            model,
+            slopes=model.slopes[:, own],
+            family=model.family[own],
+            form=np.zeros_like(model.form),
+        )
+        precision = weighed_at(bare, bare.usual).precision
+        along = precision @ sizes
+        known = sizes.T @ along + np.eye(sizes.shape[1]) / _ANY_SIZE**2
+        precision = precision - along @ np.linalg.solve(known, along.T)
+        units = linalg.block_diag(*(group.noise_whitening for group in problem.groups))
+        return cls(units.T @ precision @ units, units.T @ precision @ model.left)
+
+    def square(self, chosen: NDArray[np.bool_]) -> float:
+        """Return the squared error of numbers (n,) predicted by all others, by its covariance."""
+        at = np.flatnonzero(chosen)
+        pull = self.pull[at]
+        return float(pull @ np.linalg.solve(self.precision[np.ix_(at, at)], pull))

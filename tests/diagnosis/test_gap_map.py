@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 
 from diagnosis.campaign_diagnosis import _only
-from diagnosis.explained_fraction import _left_out, explained_fraction
+from diagnosis.explained_fraction import _Predicted, explained_fraction
 from diagnosis.gap_map import gap_map
 from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
-from diagnosis.observable_groups import Coordinates, Observable, observable_group
+from diagnosis.observable_groups import (
+    DISORDER,
+    Coordinates,
+    Errors,
+    GroupNuisances,
+    Observable,
+    observable_group,
+)
 from physics.parameters.tree import BenchParameters, more
 from tests.diagnosis.toy import COUNT, EFFECTS, bench, fitted, measured
 
@@ -79,10 +86,10 @@ def test_the_right_effect_closes_the_gap_and_a_wrong_one_does_not() -> None:
     problem = measured(3, bench(fade_per_h=0.4, crosstalk=0.5))
     null = fitted(problem)
     right, wrong = (fitted(problem, EFFECTS[k]) for k in (1, 0))
-    closed = explained_fraction(null, right, groups(problem))
+    closed = explained_fraction(problem, null, right, groups(problem))
     assert closed.fraction == pytest.approx(1.0, abs=0.15)
     assert closed.low <= closed.fraction <= closed.high
-    assert explained_fraction(null, wrong, groups(problem)).fraction < 0.2
+    assert explained_fraction(problem, null, wrong, groups(problem)).fraction < 0.2
 
 
 def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
@@ -90,7 +97,7 @@ def test_no_gap_is_not_resolvable_rather_than_closed() -> None:
         problem = measured(seed, bench())
         null = fitted(problem)
         slope = fitted(problem, EFFECTS[0])
-        closed = explained_fraction(null, slope, groups(problem))
+        closed = explained_fraction(problem, null, slope, groups(problem))
         # Where chance leaves a gap above the floor, it is none that could surely be closed.
         assert np.isnan(closed.fraction) or np.isnan(closed.low) or closed.low < 0.2
 
@@ -152,7 +159,7 @@ def test_a_share_is_of_the_gap_above_its_floor() -> None:
     problem = measured(3, bench(crosstalk=0.15))
     null = fitted(problem)
     half = fitted(problem, EFFECTS[1])
-    closed = explained_fraction(null, half, groups(problem))
+    closed = explained_fraction(problem, null, half, groups(problem))
     assert closed.floor == 1.0
     assert closed.before < 4
     share = (closed.before - closed.after) / (closed.before - 1.0)
@@ -176,7 +183,32 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
         ("optics",),
         lambda parameters: np.full(n, parameters.optics.interference.fade_per_h),
     )
-    null = fitted(InferenceProblem([numbers], BenchParameters(), (level,)))
-    square, _, count = _left_out((null, null), np.arange(n) == 0)
+    problem = InferenceProblem([numbers], BenchParameters(), (level,))
+    predicted = _Predicted.of(problem, fitted(problem))
+    square = predicted.square(np.arange(n) == 0)
     assert square == pytest.approx(away**2 / (1 + 1 / (n - 1)), rel=1e-3)
-    assert count == 1
+
+
+@pytest.mark.parametrize("common", ["noise", "nuisance of the group"])
+def test_what_numbers_have_in_common_is_predicted_by_those_that_are_not_left_out(common) -> None:
+    """Two numbers with an error of 1 in common and 0.1 of their own, both 3 off."""
+    alike = np.ones((2, 1))
+    errors = (
+        Errors(0.01 * np.eye(2) + alike @ alike.T)
+        if common == "noise"
+        else Errors(np.full(2, 0.1), (GroupNuisances("common", alike, DISORDER, "toy"),))
+    )
+    group = observable_group(
+        "both", Observable.MAPS, [3.0, 3.0], errors, [Coordinates("level")] * 2, ("optics",),
+        lambda _parameters: np.zeros(2),
+    )  # fmt: skip
+    none = Nuisance("none", "", 1.0, lambda parameters, _: parameters, "nothing")
+    problem = InferenceProblem([group], BenchParameters(), (none,))
+    predicted = _Predicted.of(problem, fitted(problem))
+    # The other one says 3/1.01, with a variance of 1.01 - 1/1.01.
+    expected = (3 - 3 / 1.01) ** 2 / (1.01 - 1 / 1.01)
+    for chosen in ([True, False], [False, True]):
+        assert predicted.square(np.array(chosen)) == pytest.approx(expected, rel=1e-6)
+    assert predicted.square(np.ones(2, bool)) == pytest.approx(
+        np.array([3, 3]) @ np.linalg.solve(0.01 * np.eye(2) + 1, [3, 3])
+    )

@@ -49,7 +49,7 @@ from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
 from physics.alterations import YieldingClamp
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.effect import Stage
+from physics.effects.effect import Effect, Stage
 from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters, with_alteration
 from physics.sized_effect import SizedEffect
@@ -225,9 +225,7 @@ def _judged(
     progress: Callable[[float], None] | None,
     without: Sequence[str],
 ) -> Diagnosis:
-    physical = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
-    effects = [effect.at_moments(summary.moments_h) for effect in physical]
-    problem, null, inflated = _certified(problem)
+    effects, (problem, null, inflated) = _effects(without, summary.moments_h), _certified(problem)
     found = select_model(problem, effects, progress, null)
     reach = detectability_of(effects, found.signatures)
     classes = confusable_classes(reach)
@@ -243,6 +241,7 @@ def _judged(
     left_out = _only(problem, condition)
     chosen = found.candidate("+".join(named)) or _best_alone(found)
     acts = _touched(problem, found.null, chosen)
+    elsewhere = _where(left_out, acts)
     named_or_none = chosen if named else found.null
     unknown_with = likeliest_unknown(found)
     return Diagnosis(
@@ -264,9 +263,7 @@ def _judged(
         floor=floor_certificate(problem, named_or_none, inflated),
         explained_with=chosen.names,
         explained=explained_fraction(problem, found.null, chosen, _where(groups, acts)),
-        explained_other_sweep=explained_fraction(
-            problem, found.null, chosen, _where(left_out, acts)
-        )
+        explained_other_sweep=explained_fraction(problem, found.null, chosen, elsewhere)
         if condition
         else None,
         explained_by={
@@ -281,6 +278,12 @@ def _judged(
         missing=summary.missing,
         refused=summary.refused,
     )
+
+
+def _effects(without: Sequence[str], moments_h: Sequence[float]) -> list[Effect]:
+    """Return the effects that are tried: those of nature, but for some, at the given times."""
+    physical = [e for e in CATALOGUE if e.stage is not Stage.NUMERICS and e.id not in without]
+    return [effect.at_moments(moments_h) for effect in physical]
 
 
 def _certified(

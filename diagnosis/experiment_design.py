@@ -338,8 +338,8 @@ def _expected_nats(
 ) -> float:
     """Return the expected log odds: half the squared distance of two predictions, whitened.
 
-    What the numbers of a group have in common beside their noise, such as the gain of the camera,
-    is the same in the experiment. It is known as well as the campaign shows it, by either model.
+    What the numbers of a group have in common apart from noise, such as the gain of the camera, is
+    the same in the experiment. It is known as well as the campaign shows it, by either model.
     """
     measured, apart = (
         block.predict(change(models[0])) - block.predict(change(models[1]))

@@ -42,7 +42,7 @@ _LEAST_GAIN = 1e-4
 # the next step would gain nothing; at most this often. Chosen: within a third, slopes change the
 # cost by less than a tenth of a nat, and most searches need five turns.
 _AT_REST, _MOST_TURNS = 0.35, 12
-# Information, in units of the noise, of a size that changes nothing.
+# Information, in units of the noise, of a size that changes nothing. Chosen: against division by 0.
 _NOTHING = 1e-12
 
 

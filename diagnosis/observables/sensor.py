@@ -40,8 +40,9 @@ _OFFSET_DN = 10.0
 # Data sheets state typical values: of read noise and gain, specimens differ by this in the log.
 # EMVA 1288 sheets of one type of camera differ by 10 to 30 %, and by 5 to 10 %.
 _READ_NOISE, _GAIN = 0.25, 0.1
-# ... and of any cameras: in the log, and of the black level as a share of the range. Full wells
-# have 5 to 50 thousand electrons, read noise 1.5 to 30; black levels are 0 to 5 %.
+# ... and of any cameras: in the log, and of the black level as a share of the range. EMVA 1288
+# sheets have full wells of 5 to 50 thousand electrons and read noise of 1.5 to 30. Chosen: black
+# levels are 0 to 5 %.
 _ANY_READ_NOISE, _ANY_GAIN, _ANY_OFFSET = 1.0, 1.0, 0.02
 # Rows and columns of ordinary cameras have up to this share of the read noise in common.
 _ROW_NOISE = BY_NAME["row_noise"].ordinary.high / BY_NAME["read_noise"].ordinary.low
@@ -196,7 +197,7 @@ def flat_group(
     places += _OF_FLATS
     errors = _flat_errors(flat, signal, full_dn, specimens)
     if dark is None:
-        by_offset = _by_offset(flat, signal, shot, full_dn)
+        by_offset = _by_offset(flat, signal, shot)
         columns = np.stack([specimens.offset_dn * by_offset, np.zeros(len(by_offset))], axis=1)
         columns[len(signal), 1] = unsure
         source = "no dark frames: set by hand"
@@ -207,7 +208,7 @@ def flat_group(
     )
 
 
-def _by_offset(flat: FlatFrames, signal: Array, shot: Array, full_dn: float) -> Array:
+def _by_offset(flat: FlatFrames, signal: Array, shot: Array) -> Array:
     """Return the derivatives (n,) of the numbers of `flat_group` by the offset, 1/dn.
 
     A black level that is higher than it was taken to be makes all light as much weaker.

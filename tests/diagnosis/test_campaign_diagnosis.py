@@ -177,6 +177,11 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
     level = np.full(COUNT, 2.0) / 0.05
     alone = bump @ bump - (bump @ level) ** 2 / (1 + level @ level)
     assert size["value"] == pytest.approx(0.3, abs=3 / math.sqrt(alone))
+    found = mixed.selection.single["sideband_crosstalk"]
+    by_noise = found.size_estimates["sideband_crosstalk"][0][0].scale * math.sqrt(
+        found.estimate.covariance[-1, -1]
+    )
+    assert by_noise == pytest.approx(1 / math.sqrt(alone), rel=0.2)
     # The noise, and a form that may deviate by 18 % in all numbers of a band or a time.
     form = 0.18 * size["value"]
     assert math.hypot(1 / math.sqrt(alone), 0.7 * form) < size["error"]

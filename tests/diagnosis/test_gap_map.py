@@ -192,11 +192,11 @@ def test_what_is_left_out_counts_by_what_it_could_be_predicted_to() -> None:
 @pytest.mark.parametrize("common", ["noise", "nuisance of the group"])
 def test_what_numbers_have_in_common_is_predicted_by_those_that_are_not_left_out(common) -> None:
     """Two numbers with an error of 1 in common and 0.1 of their own, both 3 off."""
-    alike = np.ones((2, 1))
+    both = np.ones((2, 1))
     errors = (
-        Errors(0.01 * np.eye(2) + alike @ alike.T)
+        Errors(0.01 * np.eye(2) + both @ both.T)
         if common == "noise"
-        else Errors(np.full(2, 0.1), (GroupNuisances("common", alike, DISORDER, "toy"),))
+        else Errors(np.full(2, 0.1), (GroupNuisances("common", both, DISORDER, "toy"),))
     )
     group = observable_group(
         "both", Observable.MAPS, [3.0, 3.0], errors, [Coordinates("level")] * 2, ("optics",),

@@ -127,7 +127,9 @@ def test_sizes_come_back_within_their_errors() -> None:
     found = select_model(measured(7, bench(fade_per_h=0.5, leak=0.3)), EFFECTS).single["slope"]
     ((size, z, error),) = found.size_estimates["slope"]
     assert size.scale * z == pytest.approx(0.3, abs=4 * size.scale * error)
-    # By the noise 0.01; and a form that may deviate by a fifth, in bands and times by themselves.
+    by_noise = np.sqrt(found.estimate.covariance[-1, -1])
+    assert size.scale * by_noise < 0.02
+    # And a form that may deviate by a fifth, in bands and times by themselves.
     assert 0.01 < size.scale * error < 0.6 * 0.18 * 0.3
     assert found.names == ("slope",)
 

@@ -281,7 +281,7 @@ def test_displacements_are_averages_over_all_explanations(sweep, share):
     more = along @ found.covariance[0] @ along - own @ alone.covariance[0] @ own
     between = counts * (1 - counts) * np.log(1.2) ** 2
     assert more == pytest.approx(between, rel=0.05, abs=1e-9)
-    # Modes that both explanations have alike keep their size.
+    # Modes that are the same in both explanations keep their size.
     assert logs[1][1:] == pytest.approx(logs[0][1:], abs=0.02)
 
 

@@ -20,6 +20,7 @@ from runs.integrity.checksums import (
     pixel_checksum,
     row_checksums,
 )
+from tests.awake import AwakeClock
 
 # No test is a timing: a busy machine, or the measurement of coverage, makes any of them slow.
 settings.register_profile("untimed", deadline=None)
@@ -62,6 +63,13 @@ def made_once(tmp_path_factory):
         return path
 
     return made
+
+
+@pytest.fixture
+def awake_s():
+    """Return ``awake_s(from_s[, until_s])``: monotonic time less that in which we stood still."""
+    with AwakeClock() as clock:
+        yield clock.awake_s
 
 
 @pytest.fixture

@@ -355,14 +355,14 @@ def test_an_instrument_is_opened_again_after_its_connection_is_lost(absent):
     bench.close()
 
 
-def test_an_instrument_that_hangs_keeps_nothing_else_on(absent, monkeypatch):
+def test_an_instrument_that_hangs_keeps_nothing_else_on(absent, monkeypatch, awake_s):
     monkeypatch.setattr("drivers.safe_off._PATIENCE_S", 1.0)
     bench = opened_with(absent, synthesizers="LoggedSynthesizers", generator="LoggedGenerator")
     hanging = threading.Event()
     bench.generator.ramp_to = lambda volts, duration_s: hanging.wait(20)
     begun_s = time.monotonic()
     (left,) = safe_off(bench)
-    assert time.monotonic() - begun_s < 3
+    assert awake_s(begun_s) < 3
     assert "generator" in left
     assert sys.modules[absent].orders == ["RF off"]
     hanging.set()

@@ -282,12 +282,13 @@ def test_a_process_that_is_stopped_amid_an_answer_hears_all_of_it():
     assert device.received == [b"SAY? whole"]
 
 
-def test_within_a_time_no_answer_is_waited_for_any_longer():
+def test_within_a_time_no_answer_is_waited_for_any_longer(awake_s):
     with talking("socket", WireFaults(lose_answer_at=range(3, 100)), timeout_s=2.0) as line:
         started_s = time.monotonic()
         with pytest.raises(LateError, match=r"raise options\.timeout_s"), line.within(0.2):
             line.ask("SAY? 1")
-        assert 0.15 < time.monotonic() - started_s < 0.6
+        assert time.monotonic() - started_s > 0.15
+        assert awake_s(started_s) < 0.6
         with pytest.raises(LateError), line.within(0.0):
             line.ask("SAY? 1")
 
@@ -359,7 +360,7 @@ def test_no_answer_is_ever_that_of_another_question(lost, late, timeouts):
             assert answer == str(number)
 
 
-def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind):
+def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind, awake_s):
     with talking(kind, WireFaults(unplug_at=4)) as line:
         assert line.ask("SAY? 0") == "0"
         with pytest.raises(InstrumentError) as caught:
@@ -372,7 +373,7 @@ def test_a_pulled_plug_is_an_error_that_says_what_to_check(kind):
         line.close()
         line.close()
     # pyvisa-py would wait 5 s for an instrument that is gone to say goodbye.
-    assert time.monotonic() - started_s < 1
+    assert awake_s(started_s) < 1
 
 
 def test_a_command_to_an_instrument_that_left_the_bus_is_an_error():

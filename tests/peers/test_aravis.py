@@ -174,10 +174,14 @@ def test_no_frame_from_before_is_handed_over(connected, scene):
 
 def test_the_time_is_that_of_the_stamps_and_a_little_late(connected):
     camera = connected()
+    before_s = time.monotonic()
     camera.start()
     # The far end stamps with the time of day.
     late_s = camera.now_s() - time.time()
-    assert 0 <= late_s < 1.0
+    # The first frame was stamped between the start and now, however slow this computer is; the
+    # rest is the drift of two crystals, 0.1 ms per second.
+    passed_s = time.monotonic() - before_s
+    assert 0 <= late_s <= passed_s * (1 + 2e-4) + 1e-3
     assert "clock, bounded by its start" in camera.identity
 
 

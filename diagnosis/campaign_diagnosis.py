@@ -33,6 +33,7 @@ from diagnosis.inference.model_selection import (
     probability_range,
     refit_candidate,
     select_model,
+    tried_alone,
 )
 from diagnosis.inference.nuisances import (
     NUISANCES,
@@ -227,7 +228,8 @@ def _judged(
 ) -> Diagnosis:
     effects, (problem, null, inflated) = _effects(without, summary.moments_h), _certified(problem)
     found = select_model(problem, effects, progress, null)
-    reach = detectability_of(effects, found.signatures)
+    alone = tried_alone(effects)
+    reach = detectability_of(alone, found.signatures)
     classes = confusable_classes(reach)
     for _ in range(_MOST_CONFIRMED):
         # A single search is no proof of an optimum.
@@ -256,7 +258,7 @@ def _judged(
         gap=gap_map(problem),
         selection=found,
         detectability=reach,
-        unseen=tuple(unseen_effects(problem, found.null, effects, reach)),
+        unseen=tuple(unseen_effects(problem, found.null, alone, reach)),
         unknown_with=unknown_with,
         unknown_in=_likeliest_group(problem, found.candidate(unknown_with) or found.null),
         checks=predictive_checks(problem, named_or_none, left_out),

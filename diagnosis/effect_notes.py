@@ -129,6 +129,10 @@ NOTES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = MappingProxyType(
             "change the volume of the chamber; measure another reed",
             ("acoustic_resonance",),
         ),
+        "third_acoustic_resonance": (
+            "change the volume of the chamber; measure another reed",
+            ("acoustic_resonance", "second_acoustic_resonance"),
+        ),
         "chamber_leakage": ("take the clay out", ("thickness_tilt",)),
         "laser_power_drift": ("put a photodiode next to the bench", ("laser_mode_hop",)),
         "laser_mode_hop": ("record a reference image at every step", ("laser_power_drift",)),

@@ -33,7 +33,8 @@ def resonance_gain(resonance: AcousticResonance, hz: Array | float) -> ComplexAr
 def acoustic_gain(drive: Drive, hz: Array | float) -> ComplexArray:
     """Return the ratio of the pressures at the reed's tip and at the tweeter."""
     paths = np.ones(np.shape(hz), dtype=complex)
-    for line in (drive.acoustic_resonance, *drive.further_resonances, drive.second_resonance):
+    listed = drive.acoustic_resonance, *drive.further_resonances
+    for line in (*listed, drive.second_resonance, drive.third_resonance):
         paths = paths * resonance_gain(line, hz)
     return paths + complex(drive.bypass_real, drive.bypass_imaginary)
 

@@ -19,7 +19,7 @@ from blind.cases import Label, true_sizes
 from blind.effects import BY_NAME
 from diagnosis.campaign_diagnosis import inference_problem
 from diagnosis.inference.candidates import without_effects
-from diagnosis.inference.model_selection import each_alone, signatures_of
+from diagnosis.inference.model_selection import each_alone, signatures_of, tried_alone
 from diagnosis.inference.similarity import (
     CONFUSABLE,
     DETECTION_SIGMA,
@@ -34,7 +34,7 @@ from physics.mechanics import ReedSolver
 from physics.parameters.tree import BenchParameters
 from studies.campaigns import campaigns, readings_of
 
-EFFECTS = tuple(effect for effect in CATALOGUE if effect.stage is not Stage.NUMERICS)
+EFFECTS = tuple(effect for effect in tried_alone(CATALOGUE) if effect.stage is not Stage.NUMERICS)
 
 
 def reach_in(readings: Readings, reed_solver: ReedSolver) -> tuple[Detectability, ...]:

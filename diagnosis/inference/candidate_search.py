@@ -141,7 +141,8 @@ def fit_pairs(
 ) -> dict[str, Candidate]:
     """Fit every effect in addition to the best one, and to others that gain by themselves.
 
-    Confusable effects are not paired.
+    Confusable effects are not paired. Effects that are only there after another one are tried in
+    addition to that.
     """
     ranked = sorted(alone.values(), key=lambda candidate: -candidate.log_evidence)
     best = [r for r in ranked if r.log_evidence > null.log_evidence + _LEAST_GAIN]
@@ -154,6 +155,7 @@ def fit_pairs(
             if effect.id in alone and effect.id != first.names[0]
             and frozenset((effect.id, first.names[0])) not in confusable
         ]  # fmt: skip
+        apart += [effect for effect in effects if effect.after == first.names[0]]
         start = start_with(problem, first)
         each = map_processes(partial(search_alone, problem, start, first), apart)
         found |= {"+".join(pair.names): pair for pair in each if pair is not None}

@@ -12,7 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from diagnosis.inference.effect_scan import Scan, Start, scan_again
+from diagnosis.inference.effect_scan import Elsewhere, Scan, Start, scan_again
 from diagnosis.inference.estimation import (
     LEAST_DECREMENT,
     SAME_COST,
@@ -68,8 +68,8 @@ class Candidate:
         Around the fit.
     weighed : Weighed
         The same with the likeliest scales.
-    elsewhere : float
-        What other locations and directions of the last effect add to the log evidence.
+    elsewhere : Elsewhere
+        Other locations and directions of the last effect.
     of_others : float
         What the strengths of the other effects add to it.
     log_hidden : float
@@ -85,7 +85,7 @@ class Candidate:
     deviation: Array
     model: LinearModel
     weighed: Weighed
-    elsewhere: float = 0.0
+    elsewhere: Elsewhere = Elsewhere()
     of_others: float = 0.0
     log_hidden: float = -np.inf
     slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -395,7 +395,7 @@ def start_with(problem: InferenceProblem, candidate: Candidate) -> Start:
     residuals = problem.residuals(parameters)
     slopes = candidate.estimate.jacobian * candidate.deviation[:, None]
     model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
-    model = _with_sizes(problem, model, slopes, candidate.sizes)
+    model = _with_sizes(problem, model, slopes, candidate.effects, candidate.sizes)
     weighed = weigh(model, candidate.weighed.scales)
     model, weighed = with_gross_errors(problem, model, weighed)
     return Start(parameters, residuals, model, weighed, np.zeros(0), weighed)
@@ -410,7 +410,8 @@ def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate)
         return None
     before = with_effects(problem.parameters(z), candidate.effects[:-1], sizes[:others])
     model = problem.linear_model(found.residuals, slopes[:, :p], z)
-    model = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
+    own = slopes[:, : p + others]
+    model = _with_sizes(problem, model, own, candidate.effects[:-1], sizes[:others])
     seen = _seen(problem, slopes[:, :p], slopes[:, p + others :] @ sizes[others:])
     formed = problem.with_form(model, seen)
     formed, weighed = with_gross_errors(problem, formed, weigh(formed, candidate.weighed.scales))
@@ -420,7 +421,11 @@ def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate)
 
 
 def _with_sizes(
-    problem: InferenceProblem, model: LinearModel, slopes: Array, sizes: Array
+    problem: InferenceProblem,
+    model: LinearModel,
+    slopes: Array,
+    effects: Sequence[LocatedEffect],
+    sizes: Array,
 ) -> LinearModel:
     """Return a model with sizes of effects as known columns, and with their form.
 
@@ -429,6 +434,9 @@ def _with_sizes(
     p = slopes.shape[1] - len(sizes)
     own = slopes[:, p:]
     seen = _seen(problem, slopes[:, :p], own @ sizes)
+    # Second parameters are expected around 0, strengths around what they are.
+    second = np.array([not size.most for located in effects for size in located.sizes], dtype=bool)
+    model = model.moved(-problem.to_noise(own[:, second] @ sizes[second]))
     return problem.with_form(model.with_columns(problem.to_noise(own)), seen)
 
 

@@ -34,8 +34,10 @@ _NODES = (0.02, 0.06, 0.15, 0.3, 0.6, 1.0)
 _LEAST, _STEPS, _PEAK = 0.01, 120, 0.02
 # Log of the density of strengths, in their logs.
 _LOG_DENSITY = -math.log(-math.log(_LEAST))
-# An effect with a location is first computed everywhere at one strength, then at the best places.
-_PROBE, _PLACES = 3, 4
+# An effect with a location is first computed everywhere, at a small and at a large strength, then
+# at the best places. Chosen: the peak of a strong resonance has another form than that of a weak
+# one, and the wrong form fits best in a wrong place.
+_PROBES, _PLACES = (_NODES[1], _NODES[3]), 4
 # Step of second parameters, in their standard deviations.
 _SECOND = 0.3
 # Iterations of the scales, which begin at those without the effect.
@@ -85,6 +87,26 @@ class Start:
 
 
 @dataclass(frozen=True)
+class Elsewhere:
+    """Directions and locations of an effect other than the best, all equally likely beforehand.
+
+    Attributes
+    ----------
+    log_evidence : float
+        Of strengths that would show, in all of these together.
+    count : int
+        Number of directions and locations, with the best.
+    """
+
+    log_evidence: float = -np.inf
+    count: int = 1
+
+    def with_best(self, log_evidence: float) -> float:
+        """Return the log evidence of all, where the best has this one by itself."""
+        return float(np.logaddexp(log_evidence - math.log(self.count), self.log_evidence))
+
+
+@dataclass(frozen=True)
 class Scan:
     """An effect, scanned.
 
@@ -103,8 +125,8 @@ class Scan:
         What one scale of each size changes there, whitened.
     shift : (n,) float
         What the sizes change over the start, whitened.
-    elsewhere : float
-        What the other directions and locations have added to the log evidence of the best.
+    elsewhere : Elsewhere
+        The other directions and locations.
     model : LinearModel
         At these sizes.
     weighed : Weighed
@@ -117,7 +139,7 @@ class Scan:
     log_hidden: float
     columns: Array
     shift: Array
-    elsewhere: float
+    elsewhere: Elsewhere
     model: LinearModel
     weighed: Weighed
 
@@ -138,38 +160,41 @@ def scan_effect(problem: InferenceProblem, start: Start, effect: Effect) -> Scan
     swept = [found for found in tried if found is not None]
     if not swept:
         return None
-    best = max(swept, key=lambda one: (np.isfinite(one.shown), one.most))
+    best = max(swept, key=lambda one: (np.isfinite(one.sums.shown), one.sums.most))
     # Elsewhere all is taken to be proportional to the strength. Where an effect changes nothing, it
     # has the evidence of none.
-    sums = [(one.shown, one.hidden) for one in swept] + [line.in_proportion() for line in others]
-    every = len(sums) + sum(found is None for found in tried)
-    hidden = [each for _, each in sums] + [0.0] * (every - len(sums))
-    shown = float(logsumexp([each for each, _ in sums])) - math.log(every)
-    return best.scan(
-        shown - best.shown if np.isfinite(best.shown) else 0.0,
-        float(logsumexp(hidden)) - math.log(every) + start.weighed.log_evidence,
-    )
+    sums = [one.sums for one in swept if one is not best]
+    sums += [line.in_proportion() for line in others]
+    every = len(sums) + 1 + sum(found is None for found in tried)
+    hidden = [best.sums.hidden, *(each.hidden for each in sums)]
+    hidden += [0.0] * (every - len(hidden))
+    log_hidden = float(logsumexp(hidden)) - math.log(every) + start.weighed.log_evidence
+    return best.scan(sums, every, log_hidden)
 
 
 def scan_again(
     problem: InferenceProblem,
     start: Start,
     located: LocatedEffect,
-    elsewhere: float,
+    elsewhere: Elsewhere,
     log_hidden: float,
 ) -> Scan | None:
     """Scan an effect along the direction of the sizes that a start has.
 
     Parameters
     ----------
-    elsewhere : float
-        What other directions and locations add to the log evidence of these.
+    elsewhere : Elsewhere
+        Other directions and locations: as the first scan found them.
     log_hidden : float
         See `Scan`: it is that of the first scan.
     """
     strengths = start.sizes[[k for k, size in enumerate(located.sizes) if size.most]]
     swept = _Line(problem, start, located, strengths / np.abs(strengths).max()).swept()
-    return None if swept is None else swept.scan(elsewhere, log_hidden)
+    if swept is None:
+        return None
+    found = swept.scan((), 1, log_hidden)
+    together = elsewhere.with_best(found.log_evidence)
+    return replace(found, elsewhere=elsewhere, log_evidence=together)
 
 
 class _Line:
@@ -232,24 +257,30 @@ class _Line:
     def possible(self) -> bool:
         """Whether there is a reed with a moderate strength of the effect."""
         with contextlib.suppress(ImpossibleReedError):
-            self.shift(_NODES[_PROBE])
+            for share in _PROBES:
+                self.shift(share)
             return True
         return False
 
     def probe(self) -> float:
         """Return the gain at the likeliest strength if all is proportional to it."""
-        shift, P = self.shift(_NODES[_PROBE]), self.start.weighed.precision
+        return max(map(self._gain_in_proportion_to, _PROBES))
+
+    def _gain_in_proportion_to(self, share: float) -> float:
+        shift, P = self.shift(share), self.start.weighed.precision
         pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
         return 0.5 * max(-pull, 0.0) ** 2 / max(known, 1e-12)
 
-    def in_proportion(self) -> tuple[float, float]:
-        """Return `_Swept.shown` and `_Swept.hidden` if all is proportional to the strength."""
-        shift = self.shift(_NODES[_PROBE]) / _NODES[_PROBE]
+    def in_proportion(self) -> "_Sums":
+        """Return the sums over all strengths if all is proportional to the strength."""
+        probe = max(_PROBES, key=self._gain_in_proportion_to)
+        shift = self.shift(probe) / probe
         P, bare = self.start.weighed.precision, self.start.bare.precision
         pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
         shares = np.geomspace(_LEAST, 1.0, _STEPS)
         gains = -shares * pull - 0.5 * known * shares**2
-        return _shown_and_hidden(gains, shares * math.sqrt(float(shift @ bare @ shift)), shares)
+        deviations = shares * math.sqrt(float(shift @ bare @ shift))
+        return _Sums(float(gains.max()), *_shown_and_hidden(gains, deviations, shares))
 
     def swept(self) -> "_Swept | None":
         """Try all strengths; None if the effect changes nothing or no reed is possible."""
@@ -269,6 +300,24 @@ class _Line:
 
 
 @dataclass(frozen=True)
+class _Sums:
+    """Gain of log evidence over the start with its scales, along one line.
+
+    Attributes
+    ----------
+    most : float
+        At the likeliest strength.
+    shown, hidden : float
+        Log of the gain at strengths that would show, and at all others, each summed over the prior
+        of strengths; impossible ones have no evidence.
+    """
+
+    most: float = -np.inf
+    shown: float = -np.inf
+    hidden: float = -np.inf
+
+
+@dataclass(frozen=True)
 class _Swept:
     """A line, computed at some strengths and interpolated.
 
@@ -283,11 +332,7 @@ class _Swept:
         What second parameters change at the nodes.
     best : float
         Likeliest share.
-    most : float
-        Gain of log evidence there, over the start with its scales.
-    shown, hidden : float
-        Log of the gain at strengths that would show, and at all others, each summed over the prior
-        of strengths; impossible ones have no evidence.
+    sums : _Sums
     """
 
     line: _Line
@@ -295,9 +340,7 @@ class _Swept:
     nodes: Array
     tables: Sequence[Array]
     best: float = 0.0
-    most: float = -np.inf
-    shown: float = -np.inf
-    hidden: float = -np.inf
+    sums: _Sums = _Sums()
 
     def seconds(self, share: float) -> Array:
         """Return what second parameters change (n, c): in proportion to the strength."""
@@ -325,7 +368,7 @@ class _Swept:
         shown, hidden = _shown_and_hidden(gains, self.deviations(shares), shares)
         if 0 < place < len(shares) - 1 and bend * step**2 > 1:
             shown = most + 0.5 * math.log(2 * math.pi / bend) + _LOG_DENSITY
-        return replace(self, best=best, most=most, shown=shown, hidden=hidden)
+        return replace(self, best=best, sums=_Sums(most, shown, hidden))
 
     def deviations(self, shares: Array) -> Array:
         """Return by how many standard deviations such shares (k,) move all numbers together."""
@@ -336,12 +379,14 @@ class _Swept:
     def gains(self, shares: Array) -> Array:
         """Return the gain (k,) of log evidence at such shares."""
         start, moved = self.line.start, self.moved(shares)
-        P, left = start.weighed.precision, start.model.left
+        P, left, begun = start.weighed.precision, start.model.left, start.sizes[self.line.seconds]
         gains = -(moved.T @ (P @ left)) - 0.5 * np.einsum("nk,nk->k", moved, P @ moved)
         for k, share in enumerate(shares.tolist() if self.line.seconds else ()):
             C = self.seconds(share)
-            known = np.eye(C.shape[1]) + C.T @ P @ C
-            pull = C.T @ (P @ (left + moved[:, k]))
+            own, pull = C.T @ P @ C, C.T @ (P @ (left + moved[:, k]))
+            # From second parameters of 0, around which their prior is.
+            gains[k] += float(begun @ pull - 0.5 * begun @ own @ begun)
+            known, pull = np.eye(len(own)) + own, pull - own @ begun
             gains[k] += 0.5 * float(pull @ np.linalg.solve(known, pull))
             gains[k] -= 0.5 * float(np.linalg.slogdet(known)[1])
         return np.asarray(gains)
@@ -362,16 +407,18 @@ class _Swept:
             return own, other, before
         return model, after, position
 
-    def scan(self, elsewhere: float, log_hidden: float) -> Scan:
+    def scan(self, others: Sequence[_Sums], count: int, log_hidden: float) -> Scan:
         """Return the scan of an effect of which this line is the best.
 
-        Scales are fitted again at the best strength. The gain there is taken to be the gain
-        everywhere.
+        Scales are fitted again at the best strength. The gain there is taken to be that at all
+        strengths, and in proportion on lines that gain less.
 
         Parameters
         ----------
-        elsewhere : float
-            What other lines add to the log evidence of this one.
+        others : sequence of _Sums
+            Of other lines, each as likely as this one.
+        count : int
+            Number of lines, with this one.
         log_hidden : float
             See `Scan`.
         """
@@ -379,24 +426,30 @@ class _Swept:
         shift, seconds = self.moved(share), self.seconds(share)
         # What nuisances absorb of an effect, they absorb in any form.
         seen = start.model.not_absorbed(shift - self.moved(0.0), start.model.usual)
-        moved = start.model.moved(shift).with_columns(seconds)
+        begun = start.sizes[line.seconds]
+        moved = start.model.moved(shift - seconds @ begun).with_columns(seconds)
         model, after, q = self._weighed(line.problem.with_form(moved, seen))
         sizes = line.sizes_at(share)
-        own = after.nuisances[q : q + len(line.seconds)]
-        sizes[line.seconds] += own
+        sizes[line.seconds] = own = after.nuisances[q : q + len(line.seconds)]
         columns = np.zeros((len(shift), len(sizes)))
         columns[:, line.seconds] = seconds
         by_share = self.moved(share, 1)
         # Strengths that move together share what moves.
         along = line.largest[line.strong]
         columns[:, line.strong] = by_share[:, None] * along / float(along @ along)
+        before, most = start.weighed.log_evidence, self.sums.most
+        more = after.log_evidence - before - most
+        shares = [np.clip(each.most / most, 0.0, 1.0) if most > 0 else 0.0 for each in others]
+        shown = [each.shown + more * s for each, s in zip(others, shares, strict=True)]
+        log_shown = float(logsumexp(shown)) if shown else -np.inf
+        elsewhere = Elsewhere(before + log_shown - math.log(count), count)
         return Scan(
             located=line.located,
             sizes=sizes,
-            log_evidence=after.log_evidence + self.shown + elsewhere - self.most,
+            log_evidence=elsewhere.with_best(before + more + self.sums.shown),
             log_hidden=log_hidden,
             columns=line.problem.from_noise(columns),
-            shift=line.problem.from_noise(shift + seconds @ own),
+            shift=line.problem.from_noise(shift + seconds @ (own - begun)),
             elsewhere=elsewhere,
             model=model,
             weighed=after,

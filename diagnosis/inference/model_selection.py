@@ -111,6 +111,12 @@ class ModelSelection:
         return self.single.get(name) or self.pairs.get(name)
 
 
+def tried_alone(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects without those that are only there after another one of them."""
+    names = {effect.id for effect in effects}
+    return [effect for effect in effects if effect.after not in names]
+
+
 def select_model(
     problem: InferenceProblem,
     effects: Sequence[Effect],
@@ -123,12 +129,14 @@ def select_model(
     ----------
     problem : InferenceProblem
     effects : sequence of Effect
+        Those that are only there after another one of these are tried in pairs with that.
     progress : callable, optional
         Called with the fraction that is done.
     null : Candidate, optional
         The fit without effects, if it is known.
     """
-    report = progress or (lambda _share: None)
+    report, everything = progress or (lambda _share: None), effects
+    effects = tried_alone(everything)
     count = len(effects)
     null = null or without_effects(problem, starts_without_effects(problem))
     report(0.2)
@@ -147,7 +155,7 @@ def select_model(
     report(0.7)
     signatures = signatures_of(null, alone)
     confusable = confusable_pairs({name: left for name, (_, left) in signatures.items()})
-    pairs = fit_pairs(problem, null, alone, effects, confusable)
+    pairs = fit_pairs(problem, null, alone, everything, confusable)
     refine_best(problem, null, pairs, log_odds_of_all({**alone, **pairs}, null, count))
     refuted |= refute(problem, null, pairs)
     report(0.9)

@@ -40,8 +40,7 @@ def log_odds(
     candidate: Candidate, null: Candidate, effects: int, prior: Mapping[str, float] = PRIOR
 ) -> float:
     """Return the log probability of a candidate, up to a common constant."""
-    before = log_prior(len(candidate.effects), effects, prior)
-    return before + candidate.log_evidence - null.log_evidence
+    return _before(candidate, effects, prior) + candidate.log_evidence - null.log_evidence
 
 
 def log_prior(count: int, effects: int, prior: Mapping[str, float] = PRIOR) -> float:
@@ -49,6 +48,16 @@ def log_prior(count: int, effects: int, prior: Mapping[str, float] = PRIOR) -> f
     if count == 1:
         return float(np.log(prior["one"] / effects))
     return float(np.log(prior["two"] / (effects * (effects - 1) / 2)))
+
+
+def _before(candidate: Candidate, effects: int, prior: Mapping[str, float]) -> float:
+    """Return the log prior of a candidate with effects."""
+    before = log_prior(len(candidate.effects), effects, prior)
+    if candidate.effects[-1].effect.after in candidate.names:
+        # Of two causes that come one by one, two of a kind are half as likely as one of each of two
+        # kinds.
+        before -= float(np.log(2))
+    return before
 
 
 def log_odds_of_all(
@@ -166,8 +175,7 @@ def _log_hidden(
     candidate: Candidate, null: Candidate, effects: int, prior: Mapping[str, float]
 ) -> float:
     """Log odds of those strengths of a candidate's last effect that would not show."""
-    before = log_prior(len(candidate.effects), effects, prior)
-    return before + candidate.log_hidden - null.log_evidence
+    return _before(candidate, effects, prior) + candidate.log_hidden - null.log_evidence
 
 
 def log_odds_with_unknown(

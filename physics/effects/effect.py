@@ -82,6 +82,9 @@ class Effect:
         Place among the effects of its stage; effects of equal position are sorted by identifier.
     unique : bool
         Whether the model can hold only one effect of this kind.
+    after : str
+        Identifier of the first of two effects of a kind, without which there is no second one.
+        Empty for most.
     """
 
     id: str
@@ -92,6 +95,7 @@ class Effect:
     reference: str
     position: int = 99
     unique: bool = False
+    after: str = ""
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

@@ -17,14 +17,19 @@ _GRID_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _RELATIVE_STEP) ** np.arange(
 _GRID_QUALITY, _LOG_QUALITY_SD = (18.0, 42.0), 0.35
 
 
-def _change(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
-    if not values["strength"]:
-        return parameters
-    resonance = AcousticResonance(
+def unlisted_resonance(values: Mapping[str, float]) -> AcousticResonance:
+    """Return the resonance that the sizes and the place of such an effect describe."""
+    return AcousticResonance(
         frequency_hz=values["hz"] * float(np.exp(values["log_hz"])),
         quality=values["quality"] * float(np.exp(values["log_quality"])),
         strength=values["strength"],
     )
+
+
+def _change(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
+    if not values["strength"]:
+        return parameters
+    resonance = unlisted_resonance(values)
     return replace(parameters, drive=replace(parameters.drive, second_resonance=resonance))
 
 

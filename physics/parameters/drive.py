@@ -63,8 +63,8 @@ class Drive:
         The first one that the bench file lists; of strength 0 if it lists none.
     further_resonances : tuple of AcousticResonance
         The others that it lists.
-    second_resonance : AcousticResonance
-        One that it does not list; of strength 0 if there is none.
+    second_resonance, third_resonance : AcousticResonance
+        Two that it does not list; of strength 0 if there is none.
     compression : float
         Fraction of the pressure that is lost at 16 V and low frequency, where the coil moves most.
     compression_hz : float
@@ -80,6 +80,7 @@ class Drive:
     acoustic_resonance: AcousticResonance = field(default_factory=AcousticResonance)
     further_resonances: tuple[AcousticResonance, ...] = ()
     second_resonance: AcousticResonance = AcousticResonance(7e3, 30.0, 0.0)
+    third_resonance: AcousticResonance = AcousticResonance(7e3, 30.0, 0.0)
     compression: float = quantity(
         0.0, "", 0.0, 0.6, "a dome tweeter near its rated power loses 1 to 3 dB"
     )

@@ -16,7 +16,7 @@ from scipy import linalg
 from scipy.stats import chi2
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.linear_model import weighed_at
+from diagnosis.inference.linear_model import TOGETHER, weighed_at
 from diagnosis.inference.problem import InferenceProblem
 from holography.arrays import Array
 from physics.sized_effect import SizedEffect
@@ -196,7 +196,7 @@ class _Predicted:
     def of(cls, problem: InferenceProblem, candidate: Candidate) -> "_Predicted":
         """Compute it, in the units of the numbers."""
         model, sizes = candidate.model, candidate.slopes
-        own = model.family != len(model.family_freedom) - 1
+        own = model.family != len(model.family_freedom) + TOGETHER
         bare = replace(
             model,
             slopes=model.slopes[:, own],

@@ -19,7 +19,7 @@ from scipy import linalg
 from scipy.stats import chi2
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.linear_model import GROSS
+from diagnosis.inference.linear_model import GROSS, TOGETHER
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import MEASURED, ObservableGroup, with_noise
 from holography.arrays import Array
@@ -140,13 +140,16 @@ def floor_certificate(
     inflated : mapping of float, optional
         Factors of `certified`.
     """
-    before = inflated or {}
+    before, model = inflated or {}, candidate.model
     factors = np.exp(candidate.weighed.scales.noise)
+    # An effect may deviate from its form: that is no scatter.
+    formed = model.family == len(model.family_freedom) + TOGETHER
+    together = problem.from_noise(model.slopes[:, formed] @ candidate.weighed.nuisances[formed])
+    whole = candidate.estimate.residuals + together / candidate.deviation
     floors = []
     for group, factor in zip(problem.groups, factors.tolist(), strict=True):
         piece = problem.slices[group.name]
-        # An effect may deviate from its form: that is no scatter.
-        left = np.linalg.solve(group.whitening, candidate.estimate.residuals[piece])
+        left = np.linalg.solve(group.whitening, whole[piece])
         scatter, chance, count = _scatter(group, left)
         times = _times(group)
         without = [_scatter(group, left, time) for time in times]

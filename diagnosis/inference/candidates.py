@@ -6,13 +6,21 @@ nuisances as linear.
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from diagnosis.inference.effect_scan import Elsewhere, Scan, Start, scan_again
+from diagnosis.inference.effect_scan import (
+    LEAST,
+    LOG_DENSITY,
+    Elsewhere,
+    Scan,
+    Start,
+    scan_again,
+)
 from diagnosis.inference.estimation import (
     LEAST_DECREMENT,
     SAME_COST,
@@ -22,7 +30,14 @@ from diagnosis.inference.estimation import (
     posterior_covariance,
 )
 from diagnosis.inference.gross_errors import with_gross_errors
-from diagnosis.inference.linear_model import LinearModel, Weighed, weigh, weighed_at
+from diagnosis.inference.linear_model import (
+    FORMS,
+    LinearModel,
+    Scales,
+    Weighed,
+    weigh,
+    weighed_at,
+)
 from diagnosis.inference.problem import (
     FORM,
     STEP,
@@ -42,6 +57,12 @@ _LEAST_GAIN = 1e-4
 # the next step would gain nothing; at most this often. Chosen: within a third, slopes change the
 # cost by less than a tenth of a nat, and most searches need five turns.
 _AT_REST, _MOST_TURNS = 0.35, 12
+# Least share by which the form of an effect deviates, for the error of its sizes. Chosen: what one
+# unit of an effect does is as unsure as laws of one or two numbers are, even where all numbers
+# agree.
+_LEAST_FORM_OF_SIZES = 0.1
+# Log share of other places in the evidence from which on the best one counts for nothing.
+_ALL_ELSEWHERE = -1e-6
 # Information, in units of the noise, of a size that changes nothing. Chosen: against division by 0.
 _NOTHING = 1e-12
 
@@ -71,7 +92,7 @@ class Candidate:
     elsewhere : Elsewhere
         Other locations and directions of the last effect.
     of_others : float
-        What the strengths of the other effects add to it.
+        What the prior of the other effects adds to it.
     log_hidden : float
         Log evidence with the strengths of the last effect that would not show.
     slopes : (n, s) float
@@ -89,6 +110,14 @@ class Candidate:
     of_others: float = 0.0
     log_hidden: float = -np.inf
     slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def of_places(self) -> float:
+        """What the prior of direction and location of the last effect adds to the log evidence."""
+        if not self.effects:
+            return 0.0
+        others = min(self.elsewhere.log_evidence - self.log_evidence, _ALL_ELSEWHERE)
+        return min(-float(np.log1p(-np.exp(others))) - math.log(self.elsewhere.count), 0.0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -123,11 +152,14 @@ class Candidate:
     def _errors(self) -> Array:
         """Standard errors (s,) of the sizes, in units of their scales."""
         errors = np.sqrt(np.diag(self.estimate.covariance))[-len(self.sizes) :]
+        found = self.weighed.scales
+        families = found.families.copy()
+        families[FORMS] = np.maximum(families[FORMS], np.log(_LEAST_FORM_OF_SIZES / FORM))
         usual, own = (
             np.maximum(np.einsum("ns,nm,ms->s", self.slopes, precision, self.slopes), _NOTHING)
             for precision in (
                 weighed_at(self.model, self.model.usual).precision,
-                self.weighed.precision,
+                weighed_at(self.model, Scales(found.noise, families)).precision,
             )
         )
         strengths = [bool(size.most) for located in self.effects for size in located.sizes]
@@ -203,8 +235,7 @@ def along_line(problem: InferenceProblem, start: Start, scan: Scan, before: Cand
     move = -posterior_covariance(own) @ (own.T @ residuals + z[:p])
     z[:p] += move
     residuals = residuals + own @ move
-    # The strengths of the others had the standard deviations of their scales.
-    of_others = before.log_evidence - start.weighed.log_evidence if before.effects else 0.0
+    of_others = before.of_places + log_prior(before.effects, before.sizes)
     found = MapEstimate(
         z=z,
         covariance=posterior_covariance(J),
@@ -241,7 +272,26 @@ def refitted(problem: InferenceProblem, candidate: Candidate, starts: Sequence[A
     scan = scan_again(problem, start, last, elsewhere, hidden) if start else None
     if scan is None:
         return replace(candidate, estimate=found)
-    return _with_scan(problem, candidate.effects, found, scan, candidate.of_others)
+    before, strong = candidate.effects[:-1], len(found.z) - len(last.sizes)
+    of_others = candidate.of_others + log_prior(before, found.z[len(problem.nuisances) : strong])
+    of_others -= log_prior(before, candidate.sizes[: -len(last.sizes)])
+    return _with_scan(problem, candidate.effects, found, scan, of_others)
+
+
+def log_prior(effects: Sequence[LocatedEffect], sizes: Array) -> float:
+    """Return the log prior of sizes (s,), over that of standard deviations of 1 around them.
+
+    Strengths are equally likely on a scale of logarithms, second parameters are around 0.
+    """
+    log, at = 0.0, 0
+    for located in effects:
+        own = sizes[at : at + len(located.sizes)]
+        strong, at = np.array([bool(size.most) for size in located.sizes]), at + len(own)
+        # A size of 2 is the largest.
+        strength = max(float(np.linalg.norm(own[strong])), 2 * LEAST)
+        log += 0.5 * math.log(2 * math.pi) - math.log(strength) + LOG_DENSITY
+        log -= 0.5 * float(own[~strong] @ own[~strong])
+    return log
 
 
 def _with_scan(
@@ -395,7 +445,7 @@ def start_with(problem: InferenceProblem, candidate: Candidate) -> Start:
     residuals = problem.residuals(parameters)
     slopes = candidate.estimate.jacobian * candidate.deviation[:, None]
     model = problem.linear_model(residuals, slopes[:, :p], candidate.nuisances)
-    model = _with_sizes(problem, model, slopes, candidate.effects, candidate.sizes)
+    model = _with_sizes(problem, model, slopes, candidate.sizes)
     weighed = weigh(model, candidate.weighed.scales)
     model, weighed = with_gross_errors(problem, model, weighed)
     return Start(parameters, residuals, model, weighed, np.zeros(0), weighed)
@@ -410,8 +460,7 @@ def _beyond(problem: InferenceProblem, candidate: Candidate, found: MapEstimate)
         return None
     before = with_effects(problem.parameters(z), candidate.effects[:-1], sizes[:others])
     model = problem.linear_model(found.residuals, slopes[:, :p], z)
-    own = slopes[:, : p + others]
-    model = _with_sizes(problem, model, own, candidate.effects[:-1], sizes[:others])
+    model = _with_sizes(problem, model, slopes[:, : p + others], sizes[:others])
     seen = _seen(problem, slopes[:, :p], slopes[:, p + others :] @ sizes[others:])
     formed = problem.with_form(model, seen)
     formed, weighed = with_gross_errors(problem, formed, weigh(formed, candidate.weighed.scales))
@@ -424,19 +473,16 @@ def _with_sizes(
     problem: InferenceProblem,
     model: LinearModel,
     slopes: Array,
-    effects: Sequence[LocatedEffect],
     sizes: Array,
 ) -> LinearModel:
     """Return a model with sizes of effects as known columns, and with their form.
 
-    `slopes` are along the nuisances, then along the sizes.
+    `slopes` are along the nuisances, then along the sizes. Whatever the sizes are costs nothing
+    here: `Candidate.of_others` is what their prior adds.
     """
     p = slopes.shape[1] - len(sizes)
     own = slopes[:, p:]
     seen = _seen(problem, slopes[:, :p], own @ sizes)
-    # Second parameters are expected around 0, strengths around what they are.
-    second = np.array([not size.most for located in effects for size in located.sizes], dtype=bool)
-    model = model.moved(-problem.to_noise(own[:, second] @ sizes[second]))
     return problem.with_form(model.with_columns(problem.to_noise(own)), seen)
 
 

@@ -31,9 +31,9 @@ from physics.parameters.tree import BenchParameters
 _NODES = (0.02, 0.06, 0.15, 0.3, 0.6, 1.0)
 # Smallest strength that counts, as a share of the largest, and the number of strengths summed over.
 # Chosen: two decades, in steps of 4 %; and share of a step by which a peak is sought.
-_LEAST, _STEPS, _PEAK = 0.01, 120, 0.02
+LEAST, _STEPS, _PEAK = 0.01, 120, 0.02
 # Log of the density of strengths, in their logs.
-_LOG_DENSITY = -math.log(-math.log(_LEAST))
+LOG_DENSITY = -math.log(-math.log(LEAST))
 # An effect with a location is first computed everywhere, at a small and at a large strength, then
 # at the best places. Chosen: the peak of a strong resonance has another form than that of a weak
 # one, and the wrong form fits best in a wrong place.
@@ -277,7 +277,7 @@ class _Line:
         shift = self.shift(probe) / probe
         P, bare = self.start.weighed.precision, self.start.bare.precision
         pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
-        shares = np.geomspace(_LEAST, 1.0, _STEPS)
+        shares = np.geomspace(LEAST, 1.0, _STEPS)
         gains = -shares * pull - 0.5 * known * shares**2
         deviations = shares * math.sqrt(float(shift @ bare @ shift))
         return _Sums(float(gains.max()), *_shown_and_hidden(gains, deviations, shares))
@@ -350,7 +350,7 @@ class _Swept:
 
     def integrated(self) -> "_Swept":
         """Return the same with the likeliest strength and the sums over all."""
-        shares = np.geomspace(_LEAST, 1.0, _STEPS)
+        shares = np.geomspace(LEAST, 1.0, _STEPS)
         shares = shares[shares <= self.nodes[-1]]
         gains, step = self.gains(shares), math.log(shares[1] / shares[0])
         place = int(np.argmax(gains))
@@ -367,7 +367,7 @@ class _Swept:
         bend = max((2 * most - lower - upper) / (_PEAK * step) ** 2, 1e-12)
         shown, hidden = _shown_and_hidden(gains, self.deviations(shares), shares)
         if 0 < place < len(shares) - 1 and bend * step**2 > 1:
-            shown = most + 0.5 * math.log(2 * math.pi / bend) + _LOG_DENSITY
+            shown = most + 0.5 * math.log(2 * math.pi / bend) + LOG_DENSITY
         return replace(self, best=best, sums=_Sums(most, shown, hidden))
 
     def deviations(self, shares: Array) -> Array:
@@ -468,7 +468,7 @@ def _shown_and_hidden(gains: Array, deviations: Array, shares: Array) -> tuple[f
     shows, step = deviations >= SHOWS, math.log(shares[1] / shares[0])
     shown = _log_integral(np.where(shows, gains, -np.inf), step)
     hidden = _log_integral(np.where(shows, -np.inf, gains), step)
-    return shown + _LOG_DENSITY, hidden + _LOG_DENSITY
+    return shown + LOG_DENSITY, hidden + LOG_DENSITY
 
 
 def _log_integral(logs: Array, step: float) -> float:

@@ -3,7 +3,8 @@
 A bench may be noisier, and differ more from the drawing, than usual. Each group of observables has
 a factor on its noise, and each family of nuisances (thickness of the reed, constants of the cane,
 ripple of the loudspeaker …) a factor on its standard deviations. So has the form of effects, which
-is not quite that of the catalogue (decision 0092). The logarithms of all these have Gaussian priors
+is not quite that of the catalogue (decision 0106): one for numbers that have something in common,
+one for each number by itself. The logarithms of all these have Gaussian priors
 and are fitted for each hypothesis, so that more disorder costs power and is no evidence for an
 effect. Given the factors the model is linear and Gaussian, and its evidence exact.
 """
@@ -23,9 +24,12 @@ from holography.arrays import Array
 _SETTLED, _MOST_TURNS = 0.01, 60
 # Newton steps for one factor, which converge quadratically.
 _STEPS = 8
-# The form of an effect is no farther off than this many standard deviations of its factor: what
+# The form of an effect is no farther off than this many standard deviations of its factors: what
 # deviates more is another cause.
-_MOST_FORM = 2.0
+MOST_FORM_DEVIATIONS = 2.0
+# Places of these two among the families: of what numbers have in common, and of each by itself.
+TOGETHER, BY_ITSELF = -2, -1
+FORMS = [TOGETHER, BY_ITSELF]
 # Family of a column whose standard deviation is known.
 KNOWN = -1
 # The same of a number that is wrong, see `diagnosis.inference.gross_errors`.
@@ -41,7 +45,7 @@ class Scales:
     noise : (g,) float
         Of each group of observables; not negative.
     families : (f,) float
-        Of each family of nuisances, and of the form of effects, which comes last.
+        Of each family of nuisances; the last two are the form of effects, see `FORMS`.
     """
 
     noise: Array
@@ -49,8 +53,8 @@ class Scales:
 
     @property
     def form(self) -> float:
-        """Factor on the deviations of the form of effects."""
-        return float(np.exp(self.families[-1]))
+        """Factor on the deviations of the form of effects, of each number by itself."""
+        return float(np.exp(self.families[BY_ITSELF]))
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class LinearModel:
         Group of each number, from 0.
     family : (q,) int
         Family of each nuisance, from 0; `KNOWN` for those of known standard deviation, `GROSS` for
-        those of numbers that are wrong. The last family is the form of effects.
+        those of numbers that are wrong. The last two are the form of effects: `FORMS`.
     noise_freedom : (g,) float
         Standard deviation of the log of each group's noise factor.
     family_freedom : (f,) float
@@ -148,7 +152,7 @@ class LinearModel:
         variance : (n,) float
             Of each number by itself.
         """
-        own = np.full(columns.shape[1], len(self.family_freedom) - 1)
+        own = np.full(columns.shape[1], len(self.family_freedom) + TOGETHER)
         return replace(
             self,
             slopes=np.hstack([self.slopes, columns]),
@@ -277,13 +281,18 @@ def _next(model: LinearModel, scales: Scales, found: Posterior) -> Scales:
     counts = np.bincount(model.group, minlength=groups).astype(float)
     families = len(model.family_freedom)
     scaled = model.family >= 0
-    own = found.mean**2 + uncertain
-    amounts = np.bincount(model.family[scaled], own[scaled], families).astype(float)
+    squares = found.mean**2 + uncertain
+    amounts = np.bincount(model.family[scaled], squares[scaled], families).astype(float)
     sizes = np.bincount(model.family[scaled], minlength=families).astype(float)
-    amounts[-1], sizes[-1] = _of_form(model, scales, found, uncertain, left**2, spread)
+    # Most numbers determine nothing of a form, and EM would hardly move (D. J. C. MacKay 1992,
+    # Neural Computation 4:415).
+    own = model.family == families + TOGETHER
+    amounts[TOGETHER] = np.sum(found.mean[own] ** 2)
+    sizes[TOGETHER] = np.sum(1 - uncertain[own] / np.exp(2 * scales.families[TOGETHER]))
+    amounts[BY_ITSELF], sizes[BY_ITSELF] = _of_form(model, scales, found, left**2, spread)
     after = _likeliest_log(amounts, sizes, model.family_freedom, scales.families)
-    most = _MOST_FORM * float(model.family_freedom[-1])
-    after[-1] = np.clip(after[-1], -most, most)
+    most = MOST_FORM_DEVIATIONS * model.family_freedom[FORMS]
+    after[FORMS] = np.clip(after[FORMS], -most, most)
     louder = _likeliest_log(sums, counts, model.noise_freedom, scales.noise)
     return Scales(np.maximum(louder, 0.0), after)
 
@@ -292,33 +301,24 @@ def _of_form(
     model: LinearModel,
     scales: Scales,
     found: Posterior,
-    uncertain: Array,
     square: Array,
     spread: Array,
 ) -> tuple[float, float]:
-    """Return the squares of what form deviates by, and how many of these the numbers determine.
-
-    Most numbers determine none, and EM would hardly move (D. J. C. MacKay 1992, Neural Computation
-    4:415).
+    """Return the squares of what each number by itself deviates by, and how many are determined.
 
     Parameters
     ----------
     model : LinearModel
     scales : Scales
     found : Posterior
-    uncertain : (q,) float
-        Variance of the nuisances.
     square, spread : (n,) float
         Of what is left of the numbers, and its variance.
     """
     factor = scales.form**2
-    common = model.family == len(model.family_freedom) - 1
     seen = model.form > 0
     share = factor * model.form[seen] / found.variance[seen]
-    squares = np.sum(found.mean[common] ** 2)
-    squares += np.sum(share**2 * square[seen] / model.form[seen])
-    determined = np.sum(1 - uncertain[common] / factor)
-    determined += np.sum(share * (1 - spread[seen] / found.variance[seen]))
+    squares = np.sum(share**2 * square[seen] / model.form[seen])
+    determined = np.sum(share * (1 - spread[seen] / found.variance[seen]))
     return float(squares), float(determined)
 
 

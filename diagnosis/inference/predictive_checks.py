@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from diagnosis.effect_notes import notes_of
 from diagnosis.inference.candidates import Candidate
 from diagnosis.inference.discrepancy import discrepancies_of, log_bayes_any_group
-from diagnosis.inference.linear_model import KNOWN
+from diagnosis.inference.linear_model import (
+    BY_ITSELF,
+    FORMS,
+    KNOWN,
+    MOST_FORM_DEVIATIONS,
+    TOGETHER,
+)
 from diagnosis.inference.problem import InferenceProblem, with_effects
 from diagnosis.inference.similarity import DETECTION_SIGMA
 from holography.arrays import Array
@@ -120,10 +126,10 @@ def refutations(problem: InferenceProblem, candidate: Candidate) -> tuple[Refuta
         Sizes of its effects are as fitted to all groups together.
     """
     model = candidate.model
-    last = len(model.family_freedom) - 1
+    formed = len(model.family_freedom) + TOGETHER
     # Columns of effects and of their form come after those of the nuisances.
     first = np.arange(len(model.family)) < len(problem.nuisances)
-    chosen = first | ((model.family != KNOWN) & (model.family != last))
+    chosen = first | ((model.family != KNOWN) & (model.family != formed))
     left, moved_by = _moved_by_each(problem, candidate)
     found = []
     for number, (group, rows) in enumerate(problem.slices.items()):
@@ -179,12 +185,16 @@ def _with_drawn(candidate: Candidate, rng: np.random.Generator) -> Array:
     louder = np.abs(
         model.noise_freedom[:, None] * rng.standard_normal((len(model.noise_freedom), _DRAWS))
     )
-    wider = model.family_freedom[:, None] * rng.standard_normal((len(model.family_freedom), _DRAWS))
+    wider = rng.standard_normal((len(model.family_freedom), _DRAWS))
+    wider[FORMS] = np.clip(wider[FORMS], -MOST_FORM_DEVIATIONS, MOST_FORM_DEVIATIONS)
+    wider *= model.family_freedom[:, None]
     scale = np.ones((len(model.family), _DRAWS))
     scaled = model.family >= 0
     scale[scaled] = np.exp(wider[model.family[scaled]])
     noise = np.sqrt(1 - 2 / _FREEDOMS) * rng.standard_t(_FREEDOMS, (len(model.left), _DRAWS))
-    noise *= np.sqrt(np.exp(2 * louder[model.group]) + np.exp(2 * wider[-1]) * model.form[:, None])
+    noise *= np.sqrt(
+        np.exp(2 * louder[model.group]) + np.exp(2 * wider[BY_ITSELF]) * model.form[:, None]
+    )
     left = model.slopes @ (scale * rng.standard_normal(scale.shape)) + noise
     return np.column_stack([model.left, left])
 

@@ -1,5 +1,6 @@
 """The inference problem: observables of a campaign, and the model whose nuisances are unknown."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -7,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.inference.linear_model import KNOWN, LinearModel, Scales
+from diagnosis.inference.linear_model import (
+    FORMS,
+    KNOWN,
+    MOST_FORM_DEVIATIONS,
+    LinearModel,
+    Scales,
+)
 from diagnosis.inference.nuisances import Nuisance, uncertain_sizes
 from diagnosis.observable_groups import DISORDER, ObservableGroup
 from holography.arrays import Array
@@ -17,10 +24,13 @@ from physics.sized_effect import SizedEffect
 
 _KEPT = 4096
 # Effects have not quite the form that the catalogue gives them: a share of what they do in each
-# number, and in all numbers of one mode, band, time or level. Chosen: laws of one or two numbers
-# describe a loudspeaker, a clamp or a piece of cane within a tenth to a third. The share is found
-# between these, two standard deviations of its log (decision 0092).
-FORM, _FORM_FREEDOM = 0.18, 0.3
+# number, and one in all numbers of one mode, band, time or level. Chosen: what a clock or a count
+# does is known to some thousandths, and laws of one or two numbers describe a loudspeaker, a clamp
+# or a piece of cane within a tenth to a third. Both shares are found between these limits, which
+# are two standard deviations of their logs from the middle (decision 0106).
+_LEAST_FORM, MOST_FORM = 0.003, 0.33
+FORM = math.sqrt(_LEAST_FORM * MOST_FORM)
+_FORM_FREEDOM = math.log(MOST_FORM / FORM) / MOST_FORM_DEVIATIONS
 _FORM_KINDS = ("band", "level", "mode", "time")
 STEP = 0.02
 
@@ -179,7 +189,7 @@ class InferenceProblem:
                 chosen = [getattr(place, kind) == label for place in group.coordinates]
                 column = np.zeros(len(seen))
                 column[piece] = FORM * group.noise_whitening @ (own * np.array(chosen))
-                if column @ column > 1:
+                if column @ column > (FORM / MOST_FORM) ** 2:
                     columns.append(column)
         common = np.stack(columns, axis=1) if columns else np.zeros((len(seen), 0))
         return model.with_form(common, (FORM * seen) ** 2)
@@ -212,7 +222,7 @@ class InferenceProblem:
                 [
                     *(DISORDER for _ in self._families),
                     *(each.freedom for _, each in self._of_groups),
-                    _FORM_FREEDOM,
+                    *(_FORM_FREEDOM for _ in FORMS),
                 ]
             ),
             form=np.zeros(len(residuals)),

@@ -182,10 +182,10 @@ def test_json_has_sizes_in_their_units(mixed) -> None:
         found.estimate.covariance[-1, -1]
     )
     assert by_noise == pytest.approx(1 / math.sqrt(alone), rel=0.2)
-    # The noise, and a form that may deviate by 18 % in all numbers of a band or a time.
-    form = 0.18 * size["value"]
-    assert math.hypot(1 / math.sqrt(alone), 0.7 * form) < size["error"]
-    assert size["error"] < math.hypot(1 / math.sqrt(alone), 1.2 * form)
+    # The noise, and a form that deviates by a tenth at least in all numbers of a band or a time.
+    form = 0.1 * size["value"]
+    assert math.hypot(1 / math.sqrt(alone), form) < size["error"]
+    assert size["error"] < math.hypot(1 / math.sqrt(alone), 2 * form)
     # The size that would stand out by five deviations, and how far the fitted one does.
     assert effect_found["detectable"]["fraction"] == pytest.approx(5 / math.sqrt(alone), rel=0.01)
     assert effect_found["d_prime"] == pytest.approx(size["value"] * math.sqrt(alone), rel=0.1)

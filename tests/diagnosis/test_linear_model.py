@@ -27,8 +27,8 @@ def drawn(seed, families=(1.0, 1.0), noise=(1.0, 1.0, 1.0)):
     family, group = np.repeat([0, 1], Q // 2), np.repeat([0, 1, 2], N // 3)
     left = slopes @ (np.array(families)[family] * rng.standard_normal(Q))
     left = left + np.array(noise)[group] * rng.standard_normal(N)
-    # Of three families the last one, the form of effects, has no columns here.
-    freedoms = np.full(3, 0.5), np.full(3, 0.7)
+    # Of four families the last two, the form of effects, have no columns here.
+    freedoms = np.full(3, 0.5), np.full(4, 0.7)
     return LinearModel(left, slopes, group, family, *freedoms, np.zeros(N))
 
 
@@ -36,7 +36,7 @@ def test_evidence_is_that_of_a_gaussian() -> None:
     form = np.linspace(0, 2, N)
     model = drawn(1).with_form(np.cos(np.arange(N))[:, None], form).with_columns(np.ones((N, 1)))
     assert list(model.family[-2:]) == [2, KNOWN]
-    scales = Scales(np.array([0.0, 0.3, 0.1]), np.array([0.5, -0.4, 0.6]))
+    scales = Scales(np.array([0.0, 0.3, 0.1]), np.array([0.5, -0.4, 0.9, 0.6]))
     found = weighed_at(model, scales)
     prior = np.append(np.exp(2 * scales.families)[model.family[:-1]], 1.0)
     covariance = np.diag(np.exp(2 * scales.noise)[model.group] + np.exp(1.2) * form)
@@ -55,12 +55,13 @@ def test_scales_are_the_likeliest(truth) -> None:
     assert np.all(found.scales.noise >= 0)
 
     def cost(x):
-        # The form has limits, two standard deviations of its log.
-        families = np.append(x[3:5], np.clip(x[5], -1.4, 1.4))
+        # The form has limits, two standard deviations of its logs.
+        families = np.append(x[3:5], np.clip(x[5:7], -1.4, 1.4))
         return -weighed_at(model, Scales(np.maximum(x[:3], 0), families)).log_evidence
 
     start = np.concatenate([found.scales.noise, found.scales.families])
-    best = minimize(cost, start, method="Nelder-Mead", options={"fatol": 1e-6, "maxiter": 3000})
+    options = {"fatol": 1e-6, "maxiter": 6000, "maxfev": 6000}
+    best = minimize(cost, start, method="Nelder-Mead", options=options)
     assert found.log_evidence == pytest.approx(-best.fun, abs=0.01)
 
 
@@ -96,6 +97,20 @@ def test_how_far_forms_deviate_is_found(truth: float, expected: float) -> None:
         model = drawn(seed).moved(off).with_form(np.zeros((N, 0)), (0.15 * seen) ** 2)
         found.append(weigh(model).scales.families[-1])
     assert np.exp(np.mean(found)) == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("truth", [0.3, 1.0, 3.0])
+def test_how_far_numbers_deviate_together_is_found_apart(truth: float) -> None:
+    """Twelve times five numbers deviate together, and no number by itself: the limit is 0.25."""
+    rng, seen, own = np.random.default_rng(5), 30.0, np.kron(np.eye(12), np.ones((5, 1)))
+    found = []
+    for seed in range(20):
+        off = own @ (truth * 0.15 * seen * rng.standard_normal(12))
+        formed = drawn(seed).moved(off).with_form(0.15 * seen * own, np.full(N, (0.15 * seen) ** 2))
+        found.append(np.exp(weigh(formed).scales.families[-2:]))
+    together, by_itself = np.median(found, axis=0)
+    assert together == pytest.approx(truth, rel=0.2)
+    assert by_itself == pytest.approx(np.exp(-1.4), rel=0.05)
 
 
 def test_a_form_that_no_number_shows_is_as_expected() -> None:

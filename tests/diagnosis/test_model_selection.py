@@ -23,7 +23,7 @@ from diagnosis.inference.probabilities import (
     log_probabilities,
     unseen_share,
 )
-from diagnosis.inference.problem import LocatedEffect
+from diagnosis.inference.problem import InferenceProblem, LocatedEffect
 from physics.effects.effect import Effect
 from physics.errors import ImpossibleReedError
 from physics.parameters.tree import BenchParameters, more
@@ -81,6 +81,17 @@ def test_what_a_great_effect_leaves_is_its_own_form() -> None:
     found = select_model(measured(6, bench(leak=1.5), extra=0.25), EFFECTS)
     assert found.unknown_log_bayes_with["slope"] > 10
     assert found.probability[UNKNOWN] > 0.9
+
+
+@pytest.mark.parametrize("detuning_hz", [0.1, 0.3, 1.0, 3.0])
+def test_an_effect_that_has_its_form_exactly_is_named(detuning_hz: float) -> None:
+    """All clocks are off by the same, up to sixty standard errors: as something unknown might."""
+    found = select_model(measured(2, bench(detuning_hz=detuning_hz)), EFFECTS)
+    assert found.probability_of_what_shows["offset"] > 0.8
+    # The clocks are twenty numbers, and what one unit of an effect does is known to a tenth.
+    ((size, z, error),) = found.single["offset"].size_estimates["offset"]
+    assert size.scale * z == pytest.approx(detuning_hz, abs=3 * size.scale * error)
+    assert size.scale * error > 0.1 * detuning_hz / np.sqrt(20)
 
 
 def test_what_is_left_is_no_form_of_an_effect_that_explains_as_little() -> None:
@@ -306,6 +317,10 @@ def test_priors_follow_from_one_another() -> None:
 def test_a_gain_of_form_alone_is_no_signal() -> None:
     # An effect far from its form is less certain by itself: that costs likelihood.
     problem = measured(13, bench(leak=2.0))
+    lines_, clocks = problem.groups
+    off = 0.2 * np.random.default_rng(1).standard_normal(len(AT))
+    other = replace(lines_, values=lines_.values + 2.0 * AT * off)
+    problem = InferenceProblem((other, clocks), BenchParameters(), problem.nuisances)
     found = select_model(problem, EFFECTS)
     slope = found.single["slope"]
     assert np.sum(np.log(slope.deviation)) > 5

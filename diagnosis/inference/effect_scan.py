@@ -10,6 +10,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -34,10 +35,10 @@ _NODES = (0.02, 0.06, 0.15, 0.3, 0.6, 1.0)
 LEAST, _STEPS, _PEAK = 0.01, 120, 0.02
 # Log of the density of strengths, in their logs.
 LOG_DENSITY = -math.log(-math.log(LEAST))
-# An effect with a location is first computed everywhere, at a small and at a large strength, then
-# at the best places. Chosen: the peak of a strong resonance has another form than that of a weak
-# one, and the wrong form fits best in a wrong place.
-_PROBES, _PLACES = (_NODES[1], _NODES[3]), 4
+# An effect with a location is first computed everywhere at some strengths, then at the best places.
+# Chosen: the peak of a strong resonance has another form than that of a weak one, and the wrong
+# form fits best in a wrong place.
+_PROBES, _PLACES = (_NODES[0], _NODES[2], _NODES[3]), 4
 # Step of second parameters, in their standard deviations.
 _SECOND = 0.3
 # Iterations of the scales, which begin at those without the effect.
@@ -154,17 +155,18 @@ def scan_effect(problem: InferenceProblem, start: Start, effect: Effect) -> Scan
     lines = [_Line(problem, start, place, way) for place in places for way in ways]
     others: list[_Line] = []
     if len(places) > 1:
-        lines = sorted((line for line in lines if line.possible), key=lambda line: -line.probe())
+        lines = sorted(
+            (line for line in lines if line.possible), key=lambda line: -line.roughly.most
+        )
         lines, others = lines[: _PLACES * len(ways)], lines[_PLACES * len(ways) :]
     tried = [line.swept() for line in lines]
     swept = [found for found in tried if found is not None]
     if not swept:
         return None
     best = max(swept, key=lambda one: (np.isfinite(one.sums.shown), one.sums.most))
-    # Elsewhere all is taken to be proportional to the strength. Where an effect changes nothing, it
-    # has the evidence of none.
+    # Where an effect changes nothing, it has the evidence of none.
     sums = [one.sums for one in swept if one is not best]
-    sums += [line.in_proportion() for line in others]
+    sums += [line.roughly for line in others]
     every = len(sums) + 1 + sum(found is None for found in tried)
     hidden = [best.sums.hidden, *(each.hidden for each in sums)]
     hidden += [0.0] * (every - len(hidden))
@@ -262,25 +264,17 @@ class _Line:
             return True
         return False
 
-    def probe(self) -> float:
-        """Return the gain at the likeliest strength if all is proportional to it."""
-        return max(map(self._gain_in_proportion_to, _PROBES))
-
-    def _gain_in_proportion_to(self, share: float) -> float:
-        shift, P = self.shift(share), self.start.weighed.precision
-        pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
-        return 0.5 * max(-pull, 0.0) ** 2 / max(known, 1e-12)
-
-    def in_proportion(self) -> "_Sums":
-        """Return the sums over all strengths if all is proportional to the strength."""
-        probe = max(_PROBES, key=self._gain_in_proportion_to)
-        shift = self.shift(probe) / probe
+    @cached_property
+    def roughly(self) -> "_Sums":
+        """Sums over all strengths, between which and beyond which all is straight."""
         P, bare = self.start.weighed.precision, self.start.bare.precision
-        pull, known = float(shift @ P @ self.start.model.left), float(shift @ P @ shift)
+        shifts = np.stack([self.shift(share) for share in _PROBES], axis=1)
         shares = np.geomspace(LEAST, 1.0, _STEPS)
-        gains = -shares * pull - 0.5 * known * shares**2
-        deviations = shares * math.sqrt(float(shift @ bare @ shift))
-        return _Sums(float(gains.max()), *_shown_and_hidden(gains, deviations, shares))
+        parts = np.array([np.interp(shares, (0.0, *_PROBES), row) for row in np.eye(4)[1:]])
+        parts *= np.maximum(shares / _PROBES[-1], 1.0)
+        known, seen = (np.sum(parts * ((shifts.T @ P @ shifts) @ parts), axis=0) for P in (P, bare))
+        gains = -(shifts.T @ (P @ self.start.model.left)) @ parts - 0.5 * known
+        return _Sums(float(gains.max()), *_shown_and_hidden(gains, np.sqrt(seen), shares))
 
     def swept(self) -> "_Swept | None":
         """Try all strengths; None if the effect changes nothing or no reed is possible."""

@@ -28,9 +28,9 @@ _KEPT = 4096
 # does is known to some thousandths, and laws of one or two numbers describe a loudspeaker, a clamp
 # or a piece of cane within a tenth to a third. Both shares are found between these limits, which
 # are two standard deviations of their logs from the middle (decision 0106).
-_LEAST_FORM, MOST_FORM = 0.003, 0.33
-FORM = math.sqrt(_LEAST_FORM * MOST_FORM)
-_FORM_FREEDOM = math.log(MOST_FORM / FORM) / MOST_FORM_DEVIATIONS
+_LEAST_FORM, _MOST_FORM = 0.003, 0.33
+FORM = math.sqrt(_LEAST_FORM * _MOST_FORM)
+_FORM_FREEDOM = math.log(_MOST_FORM / FORM) / MOST_FORM_DEVIATIONS
 _FORM_KINDS = ("band", "level", "mode", "time")
 STEP = 0.02
 
@@ -189,7 +189,7 @@ class InferenceProblem:
                 chosen = [getattr(place, kind) == label for place in group.coordinates]
                 column = np.zeros(len(seen))
                 column[piece] = FORM * group.noise_whitening @ (own * np.array(chosen))
-                if column @ column > (FORM / MOST_FORM) ** 2:
+                if column @ column > (FORM / _MOST_FORM) ** 2:
                     columns.append(column)
         common = np.stack(columns, axis=1) if columns else np.zeros((len(seen), 0))
         return model.with_form(common, (FORM * seen) ** 2)

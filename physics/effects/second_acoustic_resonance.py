@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from physics.effects.effect import Effect, Parameter, Stage
 from physics.parameters.drive import AcousticResonance
-from physics.parameters.tree import BenchParameters
+from physics.parameters.tree import BenchParameters, with_part
 
 # Resonances of Q 30 are resolved if they are at least half their width apart. Between two grid
 # frequencies, and between two qualities, the continuous parameters move the resonance.
@@ -17,20 +17,18 @@ _GRID_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _RELATIVE_STEP) ** np.arange(
 _GRID_QUALITY, _LOG_QUALITY_SD = (18.0, 42.0), 0.35
 
 
-def unlisted_resonance(values: Mapping[str, float]) -> AcousticResonance:
-    """Return the resonance that the sizes and the place of such an effect describe."""
-    return AcousticResonance(
+def with_unlisted(
+    field: str, parameters: BenchParameters, values: Mapping[str, float]
+) -> BenchParameters:
+    """Return a bench with a resonance in a field of its drive; without strength there is none."""
+    if not values["strength"]:
+        return parameters
+    resonance = AcousticResonance(
         frequency_hz=values["hz"] * float(np.exp(values["log_hz"])),
         quality=values["quality"] * float(np.exp(values["log_quality"])),
         strength=values["strength"],
     )
-
-
-def _change(parameters: BenchParameters, values: Mapping[str, float]) -> BenchParameters:
-    if not values["strength"]:
-        return parameters
-    resonance = unlisted_resonance(values)
-    return replace(parameters, drive=replace(parameters.drive, second_resonance=resonance))
+    return with_part(parameters, "drive", **{field: resonance})
 
 
 EFFECT = Effect(
@@ -52,7 +50,7 @@ EFFECT = Effect(
         Parameter("hz", "Hz", 0.0, "anywhere in the sweep", grid=_GRID_HZ),
         Parameter("quality", "", 0.0, "small cavities with openings", grid=_GRID_QUALITY),
     ),
-    change=_change,
+    change=partial(with_unlisted, "second_resonance"),
     reference="paper, section III",
     unique=True,
 )

@@ -22,14 +22,16 @@ class Stalls:
     """
 
     def __init__(self, now_s: float) -> None:
-        self._seen_s = now_s
+        # Two threads note: a stall that both see counts once.
+        self._seen_s, self._noting = now_s, threading.Lock()
         self._lost: list[tuple[float, float]] = []
 
     def note(self, now_s: float) -> None:
         """Note that the process runs at this monotonic time."""
-        seen_s, self._seen_s = self._seen_s, now_s
-        if now_s - seen_s > _MOST_LATE_S:
-            self._lost.append((seen_s + _MOST_LATE_S, now_s))
+        with self._noting:
+            seen_s, self._seen_s = self._seen_s, max(self._seen_s, now_s)
+            if now_s - seen_s > _MOST_LATE_S:
+                self._lost.append((seen_s + _MOST_LATE_S, now_s))
 
     def awake_s(self, from_s: float, until_s: float) -> float:
         """Return the time between two monotonic times, less that in which it stood still."""

@@ -215,3 +215,14 @@ def test_places_that_are_not_swept_count_as_if_they_were(monkeypatch, strength: 
     if not strength:
         # In the middle, steps of 0.11 show: 0.28 of two decades are below. At the ends it is more.
         assert 0.28 < np.exp(few.log_hidden - start.weighed.log_evidence) < 0.45
+
+
+def test_a_direction_that_gains_nothing_has_no_part_in_the_gain_of_the_other() -> None:
+    """The noise that seems large without the effect is small with it, in its direction only."""
+    problem = measured(3, bench(leak=0.4))
+    null = without_effects(problem, [np.zeros(1)])
+    found = scan_effect(problem, Start.without(problem, null.estimate), EFFECTS[0])
+    assert found is not None
+    assert found.elsewhere.count == 2
+    assert found.log_evidence > null.log_evidence + 50
+    assert found.elsewhere.log_evidence < null.log_evidence

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.linear_model import LinearModel, weighed_at
+from diagnosis.inference.linear_model import LinearModel, Scales, log_width, weighed_at
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import BANDS, Coordinates, ObservableGroup
 from holography.arrays import Array
@@ -127,17 +127,34 @@ def _factor(
     scales as they are without it, and with the usual ones.
     """
     fitted = candidate.weighed.scales
-    likeliest = weighed_at(model, fitted).log_evidence
+    usual = problem.usual_errors(number, fitted)
     gains, columns = [], []
-    for scales in (fitted, problem.usual_errors(number, fitted)):
-        here = weighed_at(model, scales)
-        state = _Left(left, here.precision, problem.covariance(number, scales))
-        for gain, table in _gains(problem, state, number):
-            gains.append(gain + here.log_evidence - likeliest)
-            columns.append(table)
+    for scales in (fitted, usual):
+        state = _Left(left, weighed_at(model, scales).precision, problem.covariance(number, scales))
+        found = list(_gains(problem, state, number))
+        _, explains = max(found, key=lambda one: one[0][0])
+        more = 0.0 if scales is fitted else _change(model, fitted, usual, explains)
+        gains += [gain + more for gain, _ in found]
+        columns += [table for _, table in found]
     best = int(np.argmax([gain[0] for gain in gains]))
     each = np.stack(gains).reshape(2, -1, left.shape[1]).max(axis=0)
     return np.asarray(logsumexp(each, axis=0) - np.log(len(each))), columns[best]
+
+
+def _change(model: LinearModel, fitted: Scales, usual: Scales, columns: Array) -> float:
+    """Return what usual scales change in the log evidence of a model, which columns explain.
+
+    Parameters
+    ----------
+    model : LinearModel
+    fitted, usual : Scales
+    columns : (n, c) float
+        Of something unknown. What is uncertain of the usual scales is what is so next to it.
+    """
+    before, after = weighed_at(model, fitted), weighed_at(model, usual)
+    explained = model.with_columns(columns)
+    width = log_width(explained, weighed_at(explained, usual)) - log_width(model, before)
+    return after.log_evidence - before.log_evidence + width
 
 
 def _gains(problem: InferenceProblem, state: _Left, number: int) -> Iterator[tuple[Array, Array]]:

@@ -6,7 +6,9 @@ ripple of the loudspeaker …) a factor on its standard deviations. So has the f
 is not quite that of the catalogue (decision 0106): one for numbers that have something in common,
 one for each number by itself. The logarithms of all these have Gaussian priors
 and are fitted for each hypothesis, so that more disorder costs power and is no evidence for an
-effect. Given the factors the model is linear and Gaussian, and its evidence exact.
+effect. Given the factors the model is linear and Gaussian, and its evidence exact. That of all
+factors together is the likeliest one's times the width of their posterior in units of their prior:
+a Gaussian, cut off where noise would be less than was measured (decision 0107).
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from diagnosis.inference.posterior import Posterior, Structure
 from holography.arrays import Array
@@ -185,7 +188,7 @@ class Weighed:
     Attributes
     ----------
     log_evidence : float
-        Up to a constant of the data.
+        Of these scales, up to a constant of the data; of all scales where `weigh` found these.
     scales : Scales
     nuisances : (q,) float
         Posterior mean, in units of the usual standard deviations.
@@ -225,7 +228,8 @@ def weigh(model: LinearModel, begin: Scales | None = None, turns: int = 0) -> We
     starts = [model.usual] if begin is None else [model.usual, begin]
     ends = [_settled(model, start, turns or _MOST_TURNS) for start in starts]
     each = [weighed_at(model, end) for end in ends]
-    return max(each, key=lambda one: one.log_evidence)
+    best = max(each, key=lambda one: one.log_evidence)
+    return replace(best, log_evidence=best.log_evidence + log_width(model, best))
 
 
 def _settled(model: LinearModel, scales: Scales, turns: int) -> Scales:
@@ -254,6 +258,40 @@ def weighed_at(model: LinearModel, scales: Scales) -> Weighed:
         unusual=unusual,
         posterior=found,
     )
+
+
+def log_width(model: LinearModel, weighed: Weighed) -> float:
+    """Return the log of the evidence of all scales over that of the likeliest ones.
+
+    The form of effects is left out: most numbers say nothing about it, or only that it deviates by
+    less than some share, and then it has no Gaussian width.
+
+    Parameters
+    ----------
+    model : LinearModel
+    weighed : Weighed
+        The same with the likeliest scales.
+    """
+    scales, found = weighed.scales, weighed.posterior
+    left = model.left + model.slopes @ found.mean
+    _, spread = found.variances()
+    # Squares that are left of each group, and how many the nuisances leave: they tell its noise.
+    share = np.exp(2 * scales.noise)[model.group] / found.variance
+    groups = len(model.noise_freedom)
+    squares = np.bincount(model.group, share * left**2 / found.variance, groups)
+    counts = np.bincount(model.group, share * (1 - spread / found.variance), groups)
+    # Where noise is as measured, it may be likelier still that it is less; elsewhere nothing is.
+    slope = np.where(scales.noise > 0, 0.0, np.minimum(squares - counts, 0.0))
+    bend = 2 * squares + 1 / model.noise_freedom**2
+    widths = 0.5 * slope**2 / bend - 0.5 * np.log(0.25 * bend * model.noise_freedom**2)
+    widths += log_ndtr((scales.noise + slope / bend) * np.sqrt(bend))
+    # Squares of the nuisances of each family tell its scale.
+    families = len(model.family_freedom) - len(FORMS)
+    scaled = (model.family >= 0) & (model.family < families)
+    amounts = found.mean[scaled] ** 2 / model.prior_variance(scales)[scaled]
+    sums = np.bincount(model.family[scaled], amounts, families)
+    bends = 2 * sums * model.family_freedom[:families] ** 2 + 1
+    return float(widths.sum() - 0.5 * np.log(bends).sum())
 
 
 def _posterior(model: LinearModel, scales: Scales) -> Posterior:

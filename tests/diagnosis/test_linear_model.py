@@ -62,7 +62,26 @@ def test_scales_are_the_likeliest(truth) -> None:
     start = np.concatenate([found.scales.noise, found.scales.families])
     options = {"fatol": 1e-6, "maxiter": 6000, "maxfev": 6000}
     best = minimize(cost, start, method="Nelder-Mead", options=options)
-    assert found.log_evidence == pytest.approx(-best.fun, abs=0.01)
+    there = weighed_at(model, found.scales)
+    assert there.log_evidence == pytest.approx(-best.fun, abs=0.01)
+
+
+@pytest.mark.parametrize("noise", [(1, 1, 1), (1, 2, 1), (0.7, 4, 1)])
+def test_evidence_is_that_of_all_scales(noise) -> None:
+    """Against importance sampling; noise is never less than 1."""
+    model = drawn(3, (3, 0.5), noise)
+    found = weigh(model)
+    centre = np.concatenate([found.scales.noise, found.scales.families[:2]])
+    around = multivariate_normal(centre, 0.3**2 * np.eye(5))
+    drawn_at = around.rvs(4000, random_state=4)
+    logs = np.array([weighed_at(model, Scales(x[:3], np.append(x[3:], [0, 0]))).log_evidence
+                     if np.all(x[:3] >= 0) else -np.inf for x in drawn_at])  # fmt: skip
+    # Densities of the prior: of half a Gaussian for noise, of a whole one for disorder.
+    density = 3 * np.log(2 / 0.5) + 2 * np.log(1 / 0.7) - 2.5 * np.log(2 * np.pi)
+    mean = logsumexp(logs - around.logpdf(drawn_at)) - np.log(len(logs)) + density
+    assert found.log_evidence == pytest.approx(mean, abs=0.4)
+    # That of the likeliest scales alone is nats more.
+    assert weighed_at(model, found.scales).log_evidence > mean + 4
 
 
 def test_larger_disorder_is_found_as_such() -> None:

@@ -1,7 +1,8 @@
 """Evidence of effects against nested sampling by dynesty, with a likelihood written out here.
 
-Nuisance, strength, and the factors on the noise of both groups are sampled; the diagnosis sums over
-strengths, marginalises the nuisance exactly, and takes the likeliest factors.
+Nuisance, strength, how far the form deviates, and the factors on the noise of both groups are
+sampled; the diagnosis sums over strengths, marginalises the nuisance exactly, and takes the
+likeliest factors and deviations.
 """
 
 import warnings
@@ -25,6 +26,12 @@ ADDED = {
     "offset": (np.zeros(60), np.ones(20)),
 }
 NOISE = 0.05
+# Numbers that the form of an effect may change together: those of a band, and of a time.
+TOGETHER = np.array([
+    AT < 0, AT >= 0, *((4 * np.abs(AT)).astype(int) == time for time in range(5))
+], dtype=float).T  # fmt: skip
+# Shares by which a form deviates, and the standard deviation of their logs (decision 0106).
+SHARE, SHARE_FREEDOM, MOST = 0.0315, 1.175, 2.0
 # Log evidence may differ by this, for factors that are not sampled but the likeliest.
 _NATS = 0.5
 
@@ -37,34 +44,53 @@ def own_log_bayes(problem: InferenceProblem, number: int) -> float:
     return float(np.logaddexp(scan.log_evidence, scan.log_hidden)) - null.log_evidence
 
 
+def logpdf(x: np.ndarray, variance: np.ndarray, common: np.ndarray) -> float:
+    """Log density, but for a constant, of Gaussian numbers of which some deviate together."""
+    # The matrix determinant lemma: seven numbers in common are fewer than sixty.
+    weighed = common / variance[:, None]
+    root = np.linalg.cholesky(np.eye(common.shape[1]) + common.T @ weighed)
+    deviate = np.linalg.solve(root, weighed.T @ x)
+    squares = x @ (x / variance) - deviate @ deviate
+    return float(-0.5 * squares - 0.5 * np.log(variance).sum() - np.log(np.diag(root)).sum())
+
+
 def sampled(problem: InferenceProblem, number: int | None, seed: int) -> tuple[float, float]:
     """Log evidence and its standard error, without an effect or with one."""
     (lines, clocks), effect = problem.groups, None if number is None else EFFECTS[number]
     added = (np.zeros(60), np.zeros(20)) if effect is None else ADDED[effect.id]
+    # The level absorbs a mean, also where the form deviates.
+    seen = added[0] - added[0].mean(), added[1]
     most = 0.0 if effect is None else effect.parameters[0].most
     signed = effect is not None and not effect.parameters[0].positive
 
     def drawn(u: np.ndarray) -> np.ndarray:
-        strength = 0.0
-        if effect is not None:
-            half = abs(2 * u[3] - 1) if signed else u[3]
-            sign = -1.0 if signed and u[3] < 0.5 else 1.0
-            strength = sign * most * 0.01 * 100**half
-        factors = MEASURED * norm.ppf(0.5 + 0.5 * u[1:3])
-        return np.array([LEVEL.spread * norm.ppf(u[0]), *factors, strength][: len(u)])
+        level, factors = LEVEL.spread * norm.ppf(u[0]), MEASURED * norm.ppf(0.5 + 0.5 * u[1:3])
+        if effect is None:
+            return np.array([level, *factors])
+        half = abs(2 * u[3] - 1) if signed else u[3]
+        sign = -1.0 if signed and u[3] < 0.5 else 1.0
+        ends = norm.cdf([-MOST, MOST])
+        shares = SHARE * np.exp(SHARE_FREEDOM * norm.ppf(ends[0] + np.ptp(ends) * u[4:6]))
+        return np.array([level, *factors, sign * most * 0.01 * 100**half, *shares])
 
     def log_likelihood(x: np.ndarray) -> float:
-        strength = x[3] if effect is not None else 0.0
-        first = (lines.values - x[0] - strength * added[0]) / NOISE * np.exp(-x[1])
-        second = (clocks.values - strength * added[1]) / NOISE * np.exp(-x[2])
-        return float(-0.5 * (first @ first + second @ second) - 60 * x[1] - 20 * x[2])
+        strength, together, alone = x[3:] if effect is not None else (0.0, 0.0, 0.0)
+        total = 0.0
+        for values, factor, shape, form, labels in (
+            (lines.values - x[0], x[1], added[0], seen[0], TOGETHER),
+            (clocks.values, x[2], added[1], seen[1], np.zeros((20, 0))),
+        ):
+            common = strength * together * form[:, None] * labels
+            variance = (NOISE * np.exp(factor)) ** 2 + (strength * alone * form) ** 2
+            total += logpdf(values - strength * shape, variance, common)
+        return total
 
     with warnings.catch_warnings():
         # It warns that ellipsoids are large while the prior is still wide.
         warnings.simplefilter("ignore")
         sampler = dynesty.NestedSampler(
-            log_likelihood, drawn, 3 if effect is None else 4, nlive=250, bound="single",
-            sample="rwalk", bootstrap=0, rstate=np.random.default_rng(seed),
+            log_likelihood, drawn, 3 if effect is None else 6, nlive=250, bound="multi",
+            sample="unif", bootstrap=0, rstate=np.random.default_rng(seed),
         )  # fmt: skip
         sampler.run_nested(print_progress=False, dlogz=0.1)
     found = sampler.results

@@ -479,10 +479,13 @@ def _log_integral(logs: Array, step: float) -> float:
 
 
 def _directions(effect: Effect) -> list[Array]:
-    """Return the directions in which the strengths of an effect are scanned."""
+    """Return the directions in which the strengths of an effect are scanned.
+
+    Between two that are neighbours a strength of five standard errors loses half a nat.
+    """
     strengths = [size for size in effect.sizes if size.most]
-    signs = [(0.0, 1.0) if size.positive else (-1.0, 0.0, 1.0) for size in strengths]
-    return [np.array(each) for each in product(*signs) if any(each)]
+    shares = [(0.0, 0.5, 1.0) if one.positive else (-1.0, -0.5, 0.0, 0.5, 1.0) for one in strengths]
+    return [np.array(each) for each in product(*shares) if max(map(abs, each), default=0.0) == 1]
 
 
 def locations_of(effect: Effect) -> Iterator[LocatedEffect]:

@@ -236,6 +236,25 @@ def _clamped(parameters: BenchParameters, value: float) -> BenchParameters:
     return with_alteration(parameters, YieldingClamp(), grown_m_pa)
 
 
+def _off_centre(axis: int) -> Nuisance:
+    """Return how far the local oscillator is out of the middle of the sensor, along one axis."""
+
+    def change(parameters: BenchParameters, value_m: float) -> BenchParameters:
+        shift_m = list(parameters.optics.illumination.local_oscillator_shift_m)
+        shift_m[axis] += value_m
+        return with_part(
+            parameters, "optics.illumination", local_oscillator_shift_m=(shift_m[0], shift_m[1])
+        )
+
+    name = f"local oscillator, {('down', 'right')[axis]}"
+    return Nuisance(name, "m", 1e-3, change, _BY_EYE, "place of the local oscillator")
+
+
+def _widened(parameters: BenchParameters, value: float) -> BenchParameters:
+    waist_m = parameters.optics.illumination.local_oscillator_waist_m * math.exp(value)
+    return with_part(parameters, "optics.illumination", local_oscillator_waist_m=waist_m)
+
+
 # Vamp of a clarinet reed (paper, Fig. 2), and Gauss points and degree of its Legendre products.
 _VAMP_M, _HALF_WIDTH_M, _POINTS, _DEGREE = 35e-3, 6.4e-3, 60, 9
 # Least fraction of a map's variance that a product has: of those that are nuisances of a reed (94 %
@@ -247,6 +266,10 @@ _LEAST_POWER, _LEAST_FINE = 0.007, 0.001
 _OFFSET_M = 10e-6 / math.sqrt(3)
 # Compliance of the clamp of an ordinary bench: half of 0.5 mm of hard plastic (decision 0050).
 USUAL_COMPLIANCE_M_PA: Final = 1e-13
+_BY_EYE = (
+    "beams are put on the middle of the sensor by eye, within a millimetre of 10 to 30 that they "
+    "are wide: chosen, no literature says how they are centred"
+)
 _H4 = "population of reeds of one brand (paper, Table 5, hypothesis H4)"
 _OTHER_BRAND = "chosen: means of brands differ by less than their reeds do"
 _GROWTH = "moduli may grow otherwise than by H4 (decision 0049)"
@@ -312,6 +335,14 @@ NUISANCES: Final[tuple[Nuisance, ...]] = (
         "(decision 0026)",
     ),
     *(_resonance(field, *prior) for field, prior in _RESONANCE.items()),
+    *(_off_centre(axis) for axis in (0, 1)),
+    Nuisance(
+        "width of the local oscillator",
+        "",
+        0.5,
+        _widened,
+        "that of the lens that happened to be there: chosen",
+    ),
     _bypass("bypass, real", "bypass_real"),
     _bypass("bypass, imaginary", "bypass_imaginary"),
     *layers(odd=False),

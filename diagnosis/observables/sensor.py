@@ -22,7 +22,7 @@ from diagnosis.readings.camera import (
     FlatFrames,
     LocalOscillatorFrames,
     half_m,
-    paraboloid,
+    log_paraboloid,
 )
 from diagnosis.readings.campaign_readings import Readings
 from holography.arrays import Array
@@ -56,18 +56,16 @@ _PATTERN = BY_NAME["pixel_pattern"].ordinary.root_mean_square
 _PATTERN_SPREAD = 0.5
 # Share by which ordinary cameras bend at a full pixel.
 _BENDS = BY_NAME["nonlinearity"].ordinary.root_mean_square
-# Beams are put on the middle of the sensor by eye, within a millimetre of 10 to 30 that they are
-# wide; their width is that of the lens that happened to be there: standard deviation of its log.
-# Dust and fringes of a cover glass, a per cent of the light in patches of 2 mm, tilt and bend it by
-# a third of that on a sensor of any size. All are chosen: no literature says how beams are centred.
-_LO_SHIFT_M, _LO_WAIST, _DUST = 1e-3, 0.5, 3e-3
+# Dust and fringes of a cover glass, a per cent of the light in patches of 2 mm, tilt and bend a
+# beam by a third of that on a sensor of any size. Chosen.
+_DUST = 3e-3
 # How well frames measure what is the camera's own: black levels wander by a tenth of a digital
 # number within minutes; noise is neither quite Gaussian nor evenly rounded. Chosen.
 _WANDER_DN, _NOISE_LAW = 0.1, 0.01
 # Least share of the variance of lit pixels that shot noise is taken to have. Chosen.
 _LEAST_SHOT = 0.1
-# Most rows and columns in which a smooth beam is computed. Chosen: its paraboloid is then the same
-# to a thousandth.
+# Most rows and columns in which a smooth beam is computed. Chosen: the paraboloid of its log is
+# then the same to a thousandth.
 _COARSE = 128
 
 
@@ -274,7 +272,7 @@ def local_oscillator_group(
     *,
     offset_dn: float = 0.0,
 ) -> ObservableGroup:
-    """Compare the local oscillator with a Gaussian beam centred on the sensor.
+    """Compare the log of the local oscillator with that of a Gaussian beam.
 
     Parameters
     ----------
@@ -283,7 +281,7 @@ def local_oscillator_group(
     offset_dn : float, optional
         Standard error of the digital number of a dark pixel.
     """
-    halves, usual = half_m(sensor), Illumination().local_oscillator_waist_m
+    halves = half_m(sensor)
     rows, columns = (min(count, _COARSE) for count in sensor.shape)
     coarse = replace(sensor, shape=(rows, columns))
 
@@ -297,24 +295,16 @@ def local_oscillator_group(
         )
         image = np.exp(-2 * np.add.outer(y**2, x**2) / light.local_oscillator_waist_m**2)
         vignette = vignette_profile(light, coarse)
-        _, found = paraboloid(image if vignette is None else image * vignette)
+        found = log_paraboloid(image if vignette is None else image * vignette)
         return np.array([*found[1:], found[0]])
 
     def predict(parameters: BenchParameters) -> Array:
         return shown(parameters.optics.illumination)
 
     values = [*beam.tilt, beam.bend]
-    corner = sum(half**2 for half in halves)
-    usual_bend = 2 * corner / usual**2
-    # A beam out of the middle tilts by the more the narrower it is, which the corners show.
-    narrow = max(-beam.bend, usual_bend) / (2 * corner)
-    by_hand = np.diag(
-        [*(4 * _LO_SHIFT_M * half * narrow for half in halves), 2 * _LO_WAIST * usual_bend]
-    )
-    placed = GroupNuisances("placement of the beam", by_hand, DISORDER, "by eye: chosen")
     dark = offset_dn / beam.signal_dn * np.array(values)[:, None]
     black = GroupNuisances("black level", dark, DISORDER, "no dark frames: set by hand")
-    errors = Errors(np.full(len(values), _DUST), (placed, black) if offset_dn else (placed,))
+    errors = Errors(np.full(len(values), _DUST), (black,) if offset_dn else ())
     places = [
         Coordinates("middle", region="rows"),
         Coordinates("middle", region="columns"),

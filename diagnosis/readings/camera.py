@@ -19,6 +19,9 @@ _SATURATED = 0.98
 # Side of the square of pixels that a pixel is compared with. Chosen: a hundred of them add half a
 # per cent to its own noise, and light is even over a tenth of a millimetre.
 _AROUND = 11
+# Pixels of a beam count whose light is more than this share of its brightest thousandth. Chosen:
+# dark ones have more noise than light in their logs.
+_DARK, _BRIGHTEST = 0.1, 0.999
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ class LocalOscillatorFrames:
     Attributes
     ----------
     tilt : (2,) float
-        What the last row, and column, is brighter by than the middle, a share, by a paraboloid.
+        What the last row, and column, is brighter by than the middle, in nepers, by a paraboloid.
     bend : float
         What the corners are.
     signal_dn : float
@@ -191,7 +194,7 @@ def read_local_oscillator(parts: Sequence[CampaignRun], offset_dn: float) -> Loc
     frames, exposure_s = stacked(parts)
     mean = frames.mean(axis=1) - np.float32(offset_dn)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
-    _, coefficients = paraboloid(whole)
+    coefficients = log_paraboloid(whole)
     return LocalOscillatorFrames(coefficients[1:], coefficients[0], float(np.mean(mean)))
 
 
@@ -204,16 +207,36 @@ def paraboloid(image: Array) -> tuple[Array, Array]:
     coefficients : (3,) float
         What corners are brighter by, and what the last row and column are.
     """
-    rows, columns = image.shape
-    y, x = np.linspace(-1, 1, rows), np.linspace(-1, 1, columns)
+    found = _nearest(image, np.ones(image.shape, dtype=bool))
+    return np.tensordot(_terms(image.shape), found, axes=1), found[1:] / found[0]
+
+
+def log_paraboloid(image: Array) -> Array:
+    """Return the coefficients (3,), in nepers, of the paraboloid nearest to the log of an image.
+
+    The log of a Gaussian beam is one, wherever its middle is. Dark pixels are left out.
+    """
+    bright = image > _DARK * np.quantile(image, _BRIGHTEST)
+    log = np.log(np.where(bright, image, 1.0))
+    coefficients: Array = _nearest(log, bright)[1:]
+    return coefficients
+
+
+def _terms(shape: tuple[int, ...]) -> Array:
+    y, x = (np.linspace(-1, 1, count) for count in shape)
     Y, X = np.meshgrid(y, x, indexing="ij")
-    terms = np.stack([np.ones_like(Y), 0.5 * (Y**2 + X**2), Y, X], axis=-1).reshape(-1, 4)
-    found = np.linalg.lstsq(terms, image.ravel(), rcond=None)[0]
+    return np.stack([np.ones_like(Y), 0.5 * (Y**2 + X**2), Y, X], axis=-1)
+
+
+def _nearest(image: Array, counts: NDArray[np.bool_]) -> Array:
+    """Return the constant and the coefficients (4,) of the paraboloid nearest to some pixels."""
+    terms, values = _terms(image.shape)[counts], image[counts]
+    found = np.linalg.lstsq(terms, values, rcond=None)[0]
     for _ in range(3):
-        left = image.ravel() - terms @ found
-        kept = np.abs(left) < 5 * 1.4826 * np.median(np.abs(left))
-        found = np.linalg.lstsq(terms[kept], image.ravel()[kept], rcond=None)[0]
-    return (terms @ found).reshape(rows, columns), found[1:] / found[0]
+        left = values - terms @ found
+        kept = np.abs(left) <= 5 * 1.4826 * np.median(np.abs(left))
+        found = np.linalg.lstsq(terms[kept], values[kept], rcond=None)[0]
+    return np.asarray(found)
 
 
 def _median_of_chi2(frames: int) -> float:

@@ -14,16 +14,18 @@ EFFECT = Effect(
             "m",
             0.0008,
             "chosen: a tenth of a turn of a mirror mount (80 threads per inch, a lever of 40 mm) "
-            "half a metre away; at most: half of the sensor",
-            most=0.004,
+            "half a metre away; at most: the radius of a beam that fills the sensor, which leaves "
+            "an eighth of the light in its middle",
+            most=0.015,
         ),
         Parameter(
             "right",
             "m",
             0.0008,
             "chosen: a tenth of a turn of a mirror mount (80 threads per inch, a lever of 40 mm) "
-            "half a metre away; at most: half of the sensor",
-            most=0.004,
+            "half a metre away; at most: the radius of a beam that fills the sensor, which leaves "
+            "an eighth of the light in its middle",
+            most=0.015,
         ),
     ),
     change=additive("optics.illumination", local_oscillator_shift_m=("down", "right")),

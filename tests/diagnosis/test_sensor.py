@@ -6,6 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis.inference.effect_scan import Start, scan_effect
+from diagnosis.inference.nuisances import NUISANCES
+from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observables.sensor import (
     Specimens,
     dark_group,
@@ -19,9 +22,11 @@ from diagnosis.readings.camera import (
     read_flat,
     read_local_oscillator,
 )
+from physics.effects.lo_misalignment import EFFECT as LO_MISALIGNMENT
 from physics.parameters.sensor import Sensor
 from physics.parameters.tree import BenchParameters, with_part
 from protocols.bench_parameters import sensor_of_camera
+from tests.diagnosis.toy import fitted
 
 N = 96
 SENSOR = Sensor(shape=(N, N))
@@ -145,29 +150,47 @@ def test_dark_corners_and_a_shifted_beam_are_found() -> None:
     lo = read_local_oscillator([part([drawn(6000 * beam, k) for k in range(8)], [0.08] * 8)], 50.0)
     block = local_oscillator_group(lo, SENSOR)
     assert abs(left(block)["middlerows"]) > 3
-    assert abs(left(block)["middlecolumns"]) < 3, "as a person puts it by eye"
     shifted = with_part(
         BenchParameters(), "optics.illumination", local_oscillator_shift_m=(4e-3, -2e-3)
     )
     assert np.abs(block.whitened_residual(shifted)).max() < 3
 
 
-def test_a_narrow_beam_tilts_by_more_for_as_much_out_of_the_middle() -> None:
-    half_y, half_x = half_m(SENSOR)
+def beam_group(waist_m: float, shift_m: tuple[float, float]):
+    """Numbers of a beam, by its formula."""
+    half_m_each = np.array(half_m(SENSOR))
+    tilt = 4 * half_m_each * shift_m / waist_m**2
+    bend = -2 * np.sum(half_m_each**2) / waist_m**2
+    return local_oscillator_group(LocalOscillatorFrames(tilt, float(bend), 1500.0), SENSOR)
 
-    def tilts(waist_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tilt by one millimetre, and its standard error, for rows and columns."""
-        by_shift = 4 * 1e-3 * np.array([half_y, half_x]) / waist_m**2
-        bend = -2 * (half_y**2 + half_x**2) / waist_m**2
-        block = local_oscillator_group(LocalOscillatorFrames(by_shift, bend, 1500.0), SENSOR)
-        return by_shift, np.sqrt(np.diag(block.covariance))[:2]
 
-    for waist_m in (5e-3, 9e-3, 15e-3):
-        # Dust and a cover glass add a third of a per cent.
-        by_shift, error = tilts(waist_m)
-        np.testing.assert_allclose(error, np.hypot(by_shift, 3e-3), rtol=1e-6)
-    # One that is wider than usual, or bends the other way, is as sure as a usual one.
-    np.testing.assert_allclose(tilts(60e-3)[1], tilts(15e-3)[1])
+OF_BEAM = tuple(n for n in NUISANCES if "local oscillator" in n.name)
+
+
+@pytest.mark.parametrize(("waist_m", "gain"), [(6e-3, 4), (9e-3, 3), (15e-3, 1)])
+def test_a_beam_far_out_of_the_middle_is_found_whatever_its_width(waist_m, gain) -> None:
+    shift_m = 1e-3 * np.array([-4.0, 9.0])
+    problem = InferenceProblem([beam_group(waist_m, shift_m)], BenchParameters(), OF_BEAM)
+    null, found = fitted(problem), fitted(problem, LO_MISALIGNMENT)
+    assert found.log_evidence > null.log_evidence + gain
+    # No hand is as far off, though a narrower beam would tilt by more.
+    assert null.chi2["local oscillator"] > 3
+    assert found.chi2["local oscillator"] < 1
+    for (size, z, error), true_m in zip(
+        found.size_estimates["lo_misalignment"], shift_m, strict=True
+    ):
+        assert size.scale * z == pytest.approx(true_m, abs=2 * size.scale * error)
+        # By a hand that puts it within a millimetre, and by a width that bends little.
+        assert 0.5e-3 < size.scale * error < 4e-3
+
+
+@pytest.mark.parametrize("waist_m", [6e-3, 9e-3, 15e-3, 25e-3])
+def test_a_beam_that_is_put_on_the_middle_by_eye_is_not_misaligned(waist_m: float) -> None:
+    group = beam_group(waist_m, (0.7e-3, -1.4e-3))
+    problem = InferenceProblem([group], BenchParameters(), OF_BEAM)
+    null = fitted(problem)
+    scan = scan_effect(problem, Start.without(problem, null.estimate), LO_MISALIGNMENT)
+    assert scan is None or scan.log_evidence < null.log_evidence
 
 
 def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are() -> None:

@@ -184,6 +184,14 @@ def test_a_beam_far_out_of_the_middle_is_found_whatever_its_width(waist_m, gain)
         assert 0.5e-3 < size.scale * error < 4e-3
 
 
+@pytest.mark.parametrize("shift_m", [(-2.1e-3, 5.5e-3), (-4e-3, 9e-3), (6e-3, 6e-3)])
+def test_a_scan_loses_little_of_an_effect_between_two_directions(shift_m) -> None:
+    problem = InferenceProblem([beam_group(6e-3, shift_m)], BenchParameters(), OF_BEAM)
+    null, found = fitted(problem), fitted(problem, LO_MISALIGNMENT)
+    scan = scan_effect(problem, Start.without(problem, null.estimate), LO_MISALIGNMENT)
+    assert scan.log_evidence == pytest.approx(found.log_evidence, abs=2)
+
+
 @pytest.mark.parametrize("waist_m", [6e-3, 9e-3, 15e-3, 25e-3])
 def test_a_beam_that_is_put_on_the_middle_by_eye_is_not_misaligned(waist_m: float) -> None:
     group = beam_group(waist_m, (0.7e-3, -1.4e-3))

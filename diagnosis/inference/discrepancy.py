@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.inference.candidates import Candidate
-from diagnosis.inference.linear_model import LinearModel, Scales, log_width, weighed_at
+from diagnosis.inference.linear_model import LinearModel, Weighed, log_width, weighed_at
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observable_groups import BANDS, Coordinates, ObservableGroup
 from holography.arrays import Array
@@ -128,12 +128,14 @@ def _factor(
     """
     fitted = candidate.weighed.scales
     usual = problem.usual_errors(number, fitted)
+    before, after = weighed_at(model, fitted), weighed_at(model, usual)
     gains, columns = [], []
-    for scales in (fitted, usual):
-        state = _Left(left, weighed_at(model, scales).precision, problem.covariance(number, scales))
+    for here in (before, after):
+        scales = here.scales
+        state = _Left(left, here.precision, problem.covariance(number, scales))
         found = list(_gains(problem, state, number))
         _, explains = max(found, key=lambda one: one[0][0])
-        more = 0.0 if scales is fitted else _change(model, fitted, usual, explains)
+        more = 0.0 if here is before else _change(model, before, after, explains)
         gains += [gain + more for gain, _ in found]
         columns += [table for _, table in found]
     best = int(np.argmax([gain[0] for gain in gains]))
@@ -141,19 +143,20 @@ def _factor(
     return np.asarray(logsumexp(each, axis=0) - np.log(len(each))), columns[best]
 
 
-def _change(model: LinearModel, fitted: Scales, usual: Scales, columns: Array) -> float:
-    """Return what usual scales change in the log evidence of a model, which columns explain.
+def _change(model: LinearModel, before: Weighed, after: Weighed, columns: Array) -> float:
+    """Return what usual scales change in the log evidence of a model with something unknown.
 
     Parameters
     ----------
     model : LinearModel
-    fitted, usual : Scales
+        Without it.
+    before, after : Weighed
+        The same with the likeliest scales, and with usual ones.
     columns : (n, c) float
-        Of something unknown. What is uncertain of the usual scales is what is so next to it.
+        Of something unknown: how uncertain scales are depends on what it explains.
     """
-    before, after = weighed_at(model, fitted), weighed_at(model, usual)
     explained = model.with_columns(columns)
-    width = log_width(explained, weighed_at(explained, usual)) - log_width(model, before)
+    width = log_width(explained, weighed_at(explained, after.scales)) - log_width(model, before)
     return after.log_evidence - before.log_evidence + width
 
 

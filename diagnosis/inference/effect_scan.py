@@ -481,7 +481,7 @@ def _log_integral(logs: Array, step: float) -> float:
 def _directions(effect: Effect) -> list[Array]:
     """Return the directions in which the strengths of an effect are scanned.
 
-    Between two that are neighbours a strength of five standard errors loses half a nat.
+    Between two that are neighbours a strength of five standard errors loses two thirds of a nat.
     """
     strengths = [size for size in effect.sizes if size.most]
     shares = [(0.0, 0.5, 1.0) if one.positive else (-1.0, -0.5, 0.0, 0.5, 1.0) for one in strengths]

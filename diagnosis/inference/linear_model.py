@@ -280,7 +280,7 @@ def log_width(model: LinearModel, weighed: Weighed) -> float:
     groups = len(model.noise_freedom)
     squares = np.bincount(model.group, share * left**2 / found.variance, groups)
     counts = np.bincount(model.group, share * (1 - spread / found.variance), groups)
-    # Where noise is as measured, it may be likelier still that it is less; elsewhere nothing is.
+    # At its least value noise may be less likely by a slope; elsewhere the likeliest has none.
     slope = np.where(scales.noise > 0, 0.0, np.minimum(squares - counts, 0.0))
     bend = 2 * squares + 1 / model.noise_freedom**2
     widths = 0.5 * slope**2 / bend - 0.5 * np.log(0.25 * bend * model.noise_freedom**2)

@@ -22,6 +22,8 @@ _AROUND = 11
 # Pixels of a beam count whose light is more than this share of its brightest thousandth. Chosen:
 # dark ones have more noise than light in their logs.
 _DARK, _BRIGHTEST = 0.1, 0.999
+# Frames of a beam are dark below this mean. Chosen: a camera cannot show less.
+_LEAST_BEAM_DN = 1.0
 
 
 @dataclass(frozen=True)
@@ -189,13 +191,17 @@ def read_flat(
     )  # fmt: skip
 
 
-def read_local_oscillator(parts: Sequence[CampaignRun], offset_dn: float) -> LocalOscillatorFrames:
-    """Read frames of one beam."""
+def read_local_oscillator(
+    parts: Sequence[CampaignRun], offset_dn: float
+) -> LocalOscillatorFrames | None:
+    """Read frames of one beam; None if they are dark."""
     frames, exposure_s = stacked(parts)
     mean = frames.mean(axis=1) - np.float32(offset_dn)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
+    if (signal_dn := float(np.mean(mean))) < _LEAST_BEAM_DN:
+        return None
     coefficients = log_paraboloid(whole)
-    return LocalOscillatorFrames(coefficients[1:], coefficients[0], float(np.mean(mean)))
+    return LocalOscillatorFrames(coefficients[1:], coefficients[0], signal_dn)
 
 
 def paraboloid(image: Array) -> tuple[Array, Array]:

@@ -198,7 +198,28 @@ def test_a_beam_that_is_put_on_the_middle_by_eye_is_not_misaligned(waist_m: floa
     problem = InferenceProblem([group], BenchParameters(), OF_BEAM)
     null = fitted(problem)
     scan = scan_effect(problem, Start.without(problem, null.estimate), LO_MISALIGNMENT)
-    assert scan is None or scan.log_evidence < null.log_evidence
+    assert scan is not None
+    assert scan.log_evidence < null.log_evidence
+    assert null.chi2["local oscillator"] < 1
+
+
+@pytest.mark.parametrize("dark_dn", [40, 50])
+def test_a_beam_that_was_blocked_is_not_read(dark_dn: int) -> None:
+    black = part([np.full((4, N, N), dark_dn, np.uint16)] * 4, [0.08] * 4)
+    assert read_local_oscillator([black], 50.0) is None
+    noise = part([drawn(0.0, k) for k in range(4)], [0.08] * 4)
+    assert read_local_oscillator([noise], 50.0) is None
+
+
+@pytest.mark.parametrize("waist_m", [5e-3, 9e-3, 15e-3, 60e-3])
+def test_a_hand_that_is_a_millimetre_off_tilts_a_narrow_beam_by_more(waist_m: float) -> None:
+    beam = with_part(BenchParameters(), "optics.illumination", local_oscillator_waist_m=waist_m)
+    group = beam_group(waist_m, (0.0, 0.0))
+    half_y, half_x = half_m(SENSOR)
+    by_hand = [n for n in OF_BEAM if n.unit == "m"]
+    moved = np.array([group.predict(n.change(beam, n.spread)) for n in by_hand])
+    expected = 4 * 1e-3 * np.diag([half_y, half_x]) / waist_m**2
+    np.testing.assert_allclose(moved[:, :2], expected, rtol=1e-6, atol=1e-12)
 
 
 def test_rows_and_columns_of_a_sensor_that_is_not_square_are_as_far_as_they_are() -> None:

@@ -1,8 +1,8 @@
 """Evidence of effects against nested sampling by dynesty, with a likelihood written out here.
 
 Nuisance, strength, how far the form deviates, and the factors on the noise of both groups are
-sampled; the diagnosis sums over strengths, marginalises the nuisance exactly, and takes the
-likeliest factors and deviations.
+sampled; the diagnosis sums over strengths, marginalises the nuisance exactly and factors as
+Gaussian, and takes the likeliest deviations.
 """
 
 import warnings
@@ -32,7 +32,7 @@ TOGETHER = np.array([
 ], dtype=float).T  # fmt: skip
 # Shares by which a form deviates, and the standard deviation of their logs (decision 0106).
 SHARE, SHARE_FREEDOM, MOST = 0.0315, 1.175, 2.0
-# Log evidence may differ by this, for factors that are not sampled but the likeliest.
+# Log evidence may differ by this, for deviations that are not sampled but the likeliest.
 _NATS = 0.5
 
 

@@ -37,6 +37,8 @@ _USUAL_S = 0.4
 PIECES = 8
 # Sweeps end together if they do within two steps of 25 cents.
 _ENDS = 0.03
+# Weights of interpolation that are rounding errors of equal frequencies.
+_ROUNDING = 1e-6
 # Chance brightness is correlated over this many acquisitions. Chosen: more than 1, as
 # it would be if nothing lasted.
 _ALIKE = 3.0
@@ -345,14 +347,19 @@ class _Brightness:
         )
 
     def within(self, row: int) -> NDArray[np.bool_]:
-        """Return which holograms (k,) of a sweep are at frequencies that all others have."""
-        ends = [
-            np.log(s.drive_hz) for s, counts in zip(self.sweeps, self.like, strict=True) if counts
-        ]
+        """Return which holograms (k,) of a sweep are compared: all others have its frequency.
+
+        A hologram in a wrong fringe says nothing of the light. Where one sweep has one, the mean
+        of sweeps is wrong too.
+        """
+        compared = [s for s, counts in zip(self.sweeps, self.like, strict=True) if counts]
+        ends = [np.log(sweep.drive_hz) for sweep in compared]
         low, high = max(log.min() for log in ends), min(log.max() for log in ends)
-        own = np.log(self.sweeps[row].drive_hz)
+        own, grid = np.log(self.sweeps[row].drive_hz), np.log(self.sweeps[0].drive_hz)
+        wrong = [_interpolated(grid, np.log(sweep.drive_hz), sweep.off) for sweep in compared]
+        of_mean = _interpolated(own, grid, np.any(wrong, axis=0))
         inside: NDArray[np.bool_] = (own > low - _ENDS) & (own < high + _ENDS)
-        return inside
+        return np.asarray(inside & ~of_mean & ~self.sweeps[row].off)
 
     def of_light(self, light: Callable[[Array], Array]) -> tuple[Array, ...]:
         """Return the light expected relative to the mean, for a given light at each time."""
@@ -368,6 +375,11 @@ class _Brightness:
         for band in BANDS:
             columns[f"{band} of {sweep.name}"] = _BAND * float(np.mean(bands == band))
         return columns
+
+
+def _interpolated(at: Array, places: Array, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which places (n,) take a part of what is marked (k,) at others, if interpolated."""
+    return np.asarray(np.interp(at, places, marked.astype(float)) > _ROUNDING)
 
 
 def _shared(columns: Sequence[dict[str, float]]) -> Array:

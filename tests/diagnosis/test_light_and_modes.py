@@ -37,6 +37,7 @@ def sweep(name, noise_dn2, fringe_dn2, clamping=0, loudness=1.0):
         noise_dn2=noise_dn2 * np.exp(0.01 * np.sin(17 * at)),
         fringe_dn2=np.full(COUNT, float(fringe_dn2)),
         drive_hz=1000.0 * 2 ** (at / 48), signal=0.01 * np.sin(at),
+        off=np.zeros(COUNT, bool),
     )  # fmt: skip
 
 
@@ -166,6 +167,33 @@ def test_of_two_sweeps_what_one_is_brighter_by_is_what_the_other_is_darker_by() 
     # A mean of 23 holograms of 2 %, less that of both sweeps, and a median is less sure.
     usual = np.sqrt(3 * 0.5 * np.pi * 0.02**2 / 2 / 23)
     assert np.median(deviation) == pytest.approx(usual, rel=0.25)
+
+
+def test_holograms_in_wrong_fringes_say_nothing_of_the_light() -> None:
+    """Neither in their own sweep nor in those that are compared with it, which may run down."""
+    up, down = sweep("up", 1.0, 0.0), sweep("down", 1.0, 0.0)
+    down.time_s = 400.0 - down.time_s
+    down.signal = 0.01 * np.sin(1.3 * np.arange(COUNT))
+    clean = brightness_group([up, down], [])
+    off = np.zeros(COUNT, bool)
+    # More than half of a piece of 23.
+    off[25:38] = True
+    down.off, down.signal = off, down.signal - 0.5 * off
+    marked = brightness_group([up, down], [])
+    assert marked.coordinates == clean.coordinates
+    assert marked.values == pytest.approx(clean.values, abs=5e-3)
+    # What fewer holograms show has a larger error, in both sweeps.
+    errors = np.diag(marked.errors.noise) / np.diag(clean.errors.noise)
+    at = [place.time for place in marked.coordinates]
+    assert errors[at.index("up 2")] > 1.2
+    assert errors[at.index("down 7")] > 1.2
+    # A third sweep has its own frequencies in between.
+    third = sweep("third", 1.0, 0.0)
+    third.drive_hz = third.drive_hz * 2 ** (0.5 / 48)
+    shifted = brightness_group([up, down, third], [])
+    wrong = [v for v, place in zip(shifted.values, shifted.coordinates, strict=True)
+             if place.time == "third 2"]  # fmt: skip
+    assert wrong == pytest.approx([0.0], abs=5e-3)
 
 
 def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> None:

@@ -91,10 +91,10 @@ def explained_fraction(
     if drawn is None:
         return ExplainedFraction(before, after, floor, kappa, np.nan, np.nan)
     b, a, f = (drawn @ rows).T
-    told = b > f
+    open_gap = b > f
     low, high = (
-        np.percentile((b[told] - a[told]) / (b[told] - f[told]), [2.5, 97.5])
-        if np.count_nonzero(told) > _DRAWS // 2
+        np.percentile((b[open_gap] - a[open_gap]) / (b[open_gap] - f[open_gap]), [2.5, 97.5])
+        if np.count_nonzero(open_gap) > _DRAWS // 2
         else (np.nan, np.nan)
     )
     return ExplainedFraction(before, after, floor, kappa, float(low), float(high))
@@ -167,13 +167,13 @@ def gaps_in_units(
                 squares.setdefault(known[0], []).append(tuple(row.tolist()))
             elif place.quantity.startswith("share of"):
                 squares.setdefault("shapes, 1 - MAC", []).append((before**2, after**2, variance))
-    told = []
+    found = []
     for name, rows in squares.items():
         # Fractions of other shapes add up to 1 - MAC; other gaps are means.
         of_shapes = name.startswith("shapes")
         mean = np.sum(rows, axis=0) if of_shapes else np.sqrt(np.mean(rows, axis=0))
-        told.append(GapInUnits(name, *(float(value) for value in mean)))
-    return told
+        found.append(GapInUnits(name, *(float(value) for value in mean)))
+    return found
 
 
 @dataclass(frozen=True)

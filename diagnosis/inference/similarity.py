@@ -83,14 +83,14 @@ def detectability_of(
         what is left after marginalising the nuisances (see `marginalised_signature`). Effects
         without a signature may be left out.
     """
-    alike = cosines({name: left for name, (_, left) in signatures.items()})
-    return tuple(_reach(effect, signatures.get(effect.id), alike) for effect in effects)
+    similar = cosines({name: left for name, (_, left) in signatures.items()})
+    return tuple(_reach(effect, signatures.get(effect.id), similar) for effect in effects)
 
 
 def _reach(
     effect: Effect,
     signature: tuple[Array, Array] | None,
-    alike: Mapping[str, Mapping[str, float]],
+    similar: Mapping[str, Mapping[str, float]],
 ) -> Detectability:
     if signature is None or not np.any(signature[0]):
         nothing = {parameter.name: float("inf") for parameter in effect.sizes}
@@ -103,7 +103,9 @@ def _reach(
         effect=effect.id,
         absorbed=1 - float(np.sum(left**2) / np.sum(whole**2)),
         detectable=dict(zip([p.name for p in effect.sizes], least.tolist(), strict=True)),
-        confusable={name: value for name, value in alike[effect.id].items() if value >= CONFUSABLE},
+        confusable={
+            name: value for name, value in similar[effect.id].items() if value >= CONFUSABLE
+        },
     )
 
 

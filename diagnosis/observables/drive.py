@@ -170,9 +170,9 @@ def _columns(covariance: Array, least: float) -> Array:
 
 def _of_leaks(sweep: SweepReading, leaks: Leaks, hz: Array, near: Array) -> Array:
     """Return the error of the log drive (k,) by leaked light, largest at small amplitude."""
-    calm = np.interp(hz, sweep.drive_hz, np.median(sweep.amplitude_rad) / sweep.amplitude_rad)
+    usual = np.interp(hz, sweep.drive_hz, np.median(sweep.amplitude_rad) / sweep.amplitude_rad)
     # Half of a small amplitude is what shows of it; a fit's error there is its neighbours' as well.
-    square = near @ np.minimum(2 * leaks.carrier.get(sweep.name, 0.0) * calm, 1.0) ** 2
+    square = near @ np.minimum(2 * leaks.carrier.get(sweep.name, 0.0) * usual, 1.0) ** 2
     errors: Array = np.sqrt(square / near.sum(axis=1))
     return errors
 
@@ -205,8 +205,10 @@ def level_group(sweeps: Sequence[SweepReading], leaks: Leaks) -> ObservableGroup
         one = np.flatnonzero(apart.min(axis=1) < same_hz((loud[0], other)))
         two = np.argmin(apart[one], axis=1)
         # At small amplitude, leaked light is as large as the signal.
-        told = ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LEAST_AMPLITUDE_RAD)
-        one, two = one[told], two[told]
+        right = (
+            ~loud[0].off[one] & ~other.off[two] & (other.deepest_rad[two] > _LEAST_AMPLITUDE_RAD)
+        )
+        one, two = one[right], two[right]
         ratio = loud[0].signal[one] - other.signal[two]
         ratio -= np.log(loud[0].volts[one] / other.volts[two])
         for piece in np.array_split(np.arange(len(ratio)), 2 * len(BANDS)):

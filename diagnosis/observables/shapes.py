@@ -123,14 +123,14 @@ def _seen_shares(sweeps: Sequence[SweepReading], names: Sequence[str]) -> list[_
     for of in names:
         for has in names:
             found = [_amplitude(sweep, of, has) for sweep in sweeps]
-            told = np.array([pair for pair in found if pair is not None])
-            if of == has or len(told) < max(1, len(sweeps) - 1):
+            measured = np.array([pair for pair in found if pair is not None])
+            if of == has or len(measured) < max(1, len(sweeps) - 1):
                 continue
-            scatter = float(told[:, 0].std(ddof=1)) if len(told) > 1 else 0.0
-            error = float(np.hypot(scatter, np.mean(told[:, 1])))
+            scatter = float(measured[:, 0].std(ddof=1)) if len(measured) > 1 else 0.0
+            error = float(np.hypot(scatter, np.mean(measured[:, 1])))
             both = frozenset((of, has))
             if error < _SEEN and (both not in best or error < best[both].error):
-                best[both] = _Share(of, has, float(np.mean(told[:, 0])), error)
+                best[both] = _Share(of, has, float(np.mean(measured[:, 0])), error)
     return list(best.values())
 
 

@@ -55,16 +55,16 @@ def read_carriers(
     stills = [part for part in stills if part.good_steps]
     for clamping in sorted({part.clamping for part in stills}):
         first = next(part for part in stills if part.clamping == clamping)
-        calm = _near_clamp(first.run, _STILL_M)
-        if np.count_nonzero(calm) < _LEAST_PIXELS:
+        near_clamp = _near_clamp(first.run, _STILL_M)
+        if np.count_nonzero(near_clamp) < _LEAST_PIXELS:
             continue
         at_rest, noise = _at_rest(first)
-        light = at_rest[calm]
+        light = at_rest[near_clamp]
         power = float(np.vdot(light, light).real) - noise * light.size
         if power < _SEEN * noise * np.sqrt(light.size):
             continue
         shown = [part for part in sweeps if _steps(part) and _show_same(part, first)]
-        found += [_carrier(part, calm, light, power) for part in shown]
+        found += [_carrier(part, near_clamp, light, power) for part in shown]
     return found
 
 
@@ -101,11 +101,11 @@ def _at_rest(part: CampaignRun) -> tuple[ComplexArray, float]:
 
 
 def _carrier(
-    part: CampaignRun, calm: NDArray[np.bool_], light: ComplexArray, power: float
+    part: CampaignRun, near_clamp: NDArray[np.bool_], light: ComplexArray, power: float
 ) -> CarrierReading:
     run = part.run
     steps = _steps(part)
-    seen = [abs(np.vdot(light, run.field(step.position)[calm])) / power for step in steps]
+    seen = [abs(np.vdot(light, run.field(step.position)[near_clamp])) / power for step in steps]
     noise = float(np.median([step.noise_level for step in steps]))
     volts = float(np.exp(np.mean([np.log(max(step.volts, 1e-6)) for step in steps])))
     return CarrierReading(

@@ -165,14 +165,14 @@ def read_sweeps(
     fits = _Fits(parts[0].run, lights)
     first = parts[0].clamping
     loud = sorted(parts, key=lambda part: (part.clamping != first, -_run_loudness(part.run)))
-    calm = sorted(parts, key=lambda part: (part.clamping != first, _run_loudness(part.run)))
+    quiet = sorted(parts, key=lambda part: (part.clamping != first, _run_loudness(part.run)))
     # A loud sweep shows more, but its fringes may fold; one that is calmer, or of another speckle,
     # then shows the way.
-    tried = list(dict.fromkeys([loud[0], calm[0], loud[-1], *loud[1:2]]))
+    tried = list(dict.fromkeys([loud[0], quiet[0], loud[-1], *loud[1:2]]))
     root, doubt = _root(fits, tried)
     report(_SEARCH)
     if root is None or doubt:
-        _handed_on(fits, [*dict.fromkeys([calm[0], loud[0], *loud]), loud[0]], root, report)
+        _handed_on(fits, [*dict.fromkeys([quiet[0], loud[0], *loud]), loud[0]], root, report)
     else:
         _each_from(fits, [part for part in loud if part is not root], root, report)
     fitted = [part for part in parts if part.name in fits.found]
@@ -251,7 +251,7 @@ def _each_from(
 ) -> None:
     """Fit sweeps each from one that is not in doubt.
 
-    Handed on from sweep to sweep, what a calm one does not show would be lost.
+    Handed on from sweep to sweep, what a quiet one does not show would be lost.
     """
     found = map_processes(lambda part: fits.of(part, root), parts)
     for number, (part, fit) in enumerate(zip(parts, found, strict=True), 1):
@@ -327,8 +327,8 @@ def _run_loudness(run: Run) -> float:
 
 def loudness(volts: Array) -> float:
     """Mean log of the volts of a sweep's holograms, without those at rest."""
-    told = volts[volts > 0]
-    return float(np.mean(np.log(told))) if told.size else -np.inf
+    driven = volts[volts > 0]
+    return float(np.mean(np.log(driven))) if driven.size else -np.inf
 
 
 def _reading(part: CampaignRun, fitted: JointFit, taken_off: float) -> SweepReading | None:

@@ -288,9 +288,9 @@ def _pick(
         if at_peak > _SURELY_NEEDED:
             return True
         distance = np.abs(cents_of(pictures.drive_hz) - cents_of(pictures.drive_hz[picture]))
-        beside = [k for k in (picture - 1, picture + 1) if 0 <= k < len(distance)]
-        together = float(np.median([at_peak, *(growth(shape, k) for k in beside)]))
-        far = bool(np.max(distance[beside]) > _BESIDE_CENTS)
+        neighbours = [k for k in (picture - 1, picture + 1) if 0 <= k < len(distance)]
+        together = float(np.median([at_peak, *(growth(shape, k) for k in neighbours)]))
+        far = bool(np.max(distance[neighbours]) > _BESIDE_CENTS)
         return max(together, at_peak if far else 0.0) > _NEEDED
 
     curves = FringeCurves(

@@ -213,8 +213,8 @@ def _recording_rank(run: Run, steps: Sequence[StepRecord]) -> NDArray[np.intp]:
     gaps = np.where(apart_s > 0, np.round(apart_s / usual_s), longest)
     if run.interruptions:
         # In the planned order, a step that was measured again is out of its time, and no pause.
-        calm = np.pad((apart_s > 0) & (gaps < _PAUSE), 1, constant_values=True)
-        gaps = np.where(calm[:-2] & calm[2:], gaps, 1.0)
+        steady = np.pad((apart_s > 0) & (gaps < _PAUSE), 1, constant_values=True)
+        gaps = np.where(steady[:-2] & steady[2:], gaps, 1.0)
     ranks = np.zeros(len(steps), dtype=np.intp)
     ranks[order[1:]] = np.cumsum(np.clip(gaps, 1, longest)).astype(np.intp)
     return ranks

@@ -14,8 +14,10 @@ from physics.parameters.sensor import Sensor
 
 # A pixel is hot if it exceeds the median by this many times the noise.
 _HOT = 8.0
-# Frames are saturated if half of their pixels reach this share of what a pixel can show.
-_SATURATED = 0.98
+# Frames are saturated if more than a small share of their pixels reach this share of what a pixel
+# can show. Chosen: a mean of all pixels is then wrong by less than 2e-5, and shot noise alone takes
+# hardly a pixel that far unless the mean is near.
+_SATURATED, _FEW_PIXELS = 0.98, 1e-3
 # Side of the square of pixels that a pixel is compared with. Chosen: a hundred of them add half a
 # per cent to its own noise, and light is even over a tenth of a millimetre.
 _AROUND = 11
@@ -131,8 +133,8 @@ def read_dark(parts: Sequence[CampaignRun]) -> DarkFrames:
     offset = float(np.median(level))
     noise = float(np.sqrt(np.median(frames.var(axis=0, ddof=1)) / _median_of_chi2(len(frames))))
     hot = level - offset > _HOT * max(noise / np.sqrt(len(frames)), 0.3)
-    calm = frames[:, ~hot]
-    noise = float(np.sqrt(np.mean(calm.var(axis=0, ddof=1))))
+    usual = frames[:, ~hot]
+    noise = float(np.sqrt(np.mean(usual.var(axis=0, ddof=1))))
     if not noise:
         names = ", ".join(part.run.path.name for part in parts)
         raise FitInputError(
@@ -151,7 +153,7 @@ def read_dark(parts: Sequence[CampaignRun]) -> DarkFrames:
 def read_flat(
     parts: Sequence[CampaignRun], offset_dn: float, hot_pixels: NDArray[np.bool_] | None = None
 ) -> FlatFrames | None:
-    """Read flat frames; None if all are saturated.
+    """Read flat frames; None if there are saturated pixels at all exposures.
 
     Parameters
     ----------
@@ -163,15 +165,12 @@ def read_flat(
         larger part of a short exposure, and looks like a camera that is not linear.
     """
     frames, exposure_s = stacked(parts)
-    full_dn = min(part.run.saturation_dn for part in parts)
-    below = np.median(frames, axis=(1, 2, 3)) < _SATURATED * full_dn
+    counts = _counting(frames, hot_pixels)
+    below = _not_saturated(parts, frames, counts)
     if not below.any():
         return None
     frames, exposure_s = frames[below], exposure_s[below]
     mean = frames.mean(axis=1) - np.float32(offset_dn)
-    counts = np.ones(mean.shape[1:], dtype=bool)
-    if hot_pixels is not None and hot_pixels.shape == counts.shape:
-        counts = ~hot_pixels
     signal = mean[:, counts].mean(axis=1)
     variance = frames.var(axis=1, ddof=1)[:, counts].mean(axis=1)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
@@ -192,16 +191,40 @@ def read_flat(
 
 
 def read_local_oscillator(
-    parts: Sequence[CampaignRun], offset_dn: float
+    parts: Sequence[CampaignRun], offset_dn: float, hot_pixels: NDArray[np.bool_] | None = None
 ) -> LocalOscillatorFrames | None:
-    """Read frames of one beam; None if they are dark."""
+    """Read frames of one beam; None if they are dark, or have saturated pixels at all exposures.
+
+    Where a beam is saturated, it seems wider than it is, and its middle somewhere else. For
+    parameters see `read_flat`.
+    """
     frames, exposure_s = stacked(parts)
+    below = _not_saturated(parts, frames, _counting(frames, hot_pixels))
+    if not below.any():
+        return None
+    frames, exposure_s = frames[below], exposure_s[below]
     mean = frames.mean(axis=1) - np.float32(offset_dn)
     whole = np.einsum("eyx,e->yx", mean, exposure_s) / np.sum(exposure_s**2)
     if (signal_dn := float(np.mean(mean))) < _LEAST_BEAM_DN:
         return None
     coefficients = log_paraboloid(whole)
     return LocalOscillatorFrames(coefficients[1:], coefficients[0], signal_dn)
+
+
+def _counting(frames: Array, hot_pixels: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Return which pixels (ny, nx) of frames (e, 4, ny, nx) are not known to be hot."""
+    if hot_pixels is not None and hot_pixels.shape == frames.shape[2:]:
+        return ~hot_pixels
+    return np.ones(frames.shape[2:], dtype=bool)
+
+
+def _not_saturated(
+    parts: Sequence[CampaignRun], frames: Array, counts: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return at which exposures (e,) hardly any of the pixels that count is saturated."""
+    full_dn = min(part.run.saturation_dn for part in parts)
+    high = [np.mean(each[:, counts] >= _SATURATED * full_dn) for each in frames]
+    return np.array(high) < _FEW_PIXELS
 
 
 def paraboloid(image: Array) -> tuple[Array, Array]:

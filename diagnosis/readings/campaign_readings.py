@@ -138,19 +138,19 @@ def read_unfitted(campaign: Campaign, bench: BenchFile | None = None) -> Reading
     nominal = parameters_of(first, bench)
     dark = read_dark(dark_parts) if dark_parts else None
     offset_dn = dark.offset_dn if dark else nominal.sensor.offset_dn
-    flat = (
-        read_flat(flat_parts, offset_dn, dark.hot_pixels if dark else None) if flat_parts else None
-    )
+    hot_pixels = dark.hot_pixels if dark else None
+    flat = read_flat(flat_parts, offset_dn, hot_pixels) if flat_parts else None
+    lo = read_local_oscillator(lo_parts, offset_dn, hot_pixels) if lo_parts else None
     return Readings(
         dark=dark,
         flat=flat,
-        lo=read_local_oscillator(lo_parts, offset_dn) if lo_parts else None,
+        lo=lo,
         stills=tuple(read_rest_holograms(still_parts)),
         carriers=tuple(read_carriers(campaign.sweeps, still_parts)),
         beat=read_step_log(campaign.sweeps),
         sweeps=(),
         refused=(),
-        missing=tuple(_missing(campaign, bench, (), saturated=bool(flat_parts) and flat is None)),
+        missing=tuple(_missing(campaign, bench, (), _unread(campaign, flat, lo))),
         rate_hz=float(first.frame_rate_hz),
         nominal=nominal,
         data_sheet=_has_data_sheet(bench),
@@ -163,12 +163,12 @@ def _read(campaign: Campaign, bench: BenchFile | None, report: Callable[[float],
     leaking = unshifted_light(campaign.sweeps, still_parts, readings.carriers)
     sweeps, refused = read_sweeps(campaign.sweeps, lambda share: report(_SWEEPS * share), leaking)
     report(1.0)
-    saturated = bool(campaign.of_kind(RunKind.FLAT)) and readings.flat is None
+    unread = _unread(campaign, readings.flat, readings.lo)
     return replace(
         readings,
         sweeps=tuple(sweeps),
         refused=tuple(refused),
-        missing=tuple(_missing(campaign, bench, sweeps, saturated=saturated)),
+        missing=tuple(_missing(campaign, bench, sweeps, unread)),
     )
 
 
@@ -176,19 +176,31 @@ def _has_data_sheet(bench: BenchFile | None) -> bool:
     return bench is not None and bench.instruments.camera.data_sheet is not None
 
 
+def _unread(
+    campaign: Campaign, flat: FlatFrames | None, lo: LocalOscillatorFrames | None
+) -> list[str]:
+    """Return which frames are there, but cannot be used."""
+    unread = []
+    if campaign.of_kind(RunKind.FLAT) and flat is None:
+        unread.append("flat frames without saturated pixels (linearity, pattern, vignetting)")
+    if campaign.of_kind(RunKind.LO_ONLY) and lo is None:
+        unread.append(
+            "frames of the local oscillator that are neither dark nor saturated (where its beam is)"
+        )
+    return unread
+
+
 def _missing(
     campaign: Campaign,
     bench: BenchFile | None,
     sweeps: Sequence[SweepReading],
-    *,
-    saturated: bool,
+    unread: Sequence[str],
 ) -> list[str]:
     """Return what would improve the diagnosis: missing runs, and what the others do not show."""
     missing = campaign.missing
     if not _has_data_sheet(bench):
         missing.append("instruments.camera.data_sheet of the bench file (gain, read noise, offset)")
-    if saturated:
-        missing.append("flat frames that are not saturated (linearity, pattern, vignetting)")
+    missing += unread
     for sweep in sweeps:
         compared = {*sweep.names} & {*common_modes(sweeps)}
         if 2 * len(compared) < len(sweep.names):

@@ -19,7 +19,7 @@ from diagnosis.observables.light import fringe_group, mixing_in, noise_group
 from diagnosis.observables.modes import modes_group
 from diagnosis.observables.reed_at_rest import phase_turn_group, usual_scatter_hz
 from diagnosis.readings.camera import read_dark, read_flat
-from diagnosis.readings.campaign_readings import _missing
+from diagnosis.readings.campaign_readings import _missing, _unread
 from diagnosis.readings.carrier import read_carriers
 from diagnosis.readings.mean_drive import mean_drive
 from diagnosis.readings.reed_at_rest import read_rest_holograms
@@ -32,6 +32,7 @@ from physics.parameters.optics import Interference
 from physics.parameters.tree import BenchParameters
 from physics.reed.geometry import ReedGeometry
 from protocols.bench import BenchFile
+from runs.layout import RunKind
 from runs.verdict import Verdict
 
 NO_LEAKS = Leaks({}, 0.0)
@@ -258,20 +259,32 @@ def test_a_poor_sweep_takes_no_mode_from_the_others(place: int) -> None:
     alone = modes_group(good, FewModes(), NO_LEAKS, BenchParameters())
     (own,) = (one for one in alone.errors.nuisances if one.name == "fit")
     assert 0 < np.abs(fit.columns).max() < 1.3 * np.abs(own.columns).max()
-    missing = _missing(SimpleNamespace(missing=[]), BenchFile.from_file(), every, saturated=False)
+    missing = _missing(SimpleNamespace(missing=[]), BenchFile.from_file(), every, [])
     assert missing == []
+
+
+def test_frames_that_cannot_be_used_are_named() -> None:
+    def campaign(*kinds):
+        return SimpleNamespace(of_kind=lambda kind: [kind] if kind in kinds else [])
+
+    every = campaign(RunKind.FLAT, RunKind.LO_ONLY)
+    flat, lo = _unread(every, None, None)
+    assert flat.startswith("flat frames")
+    assert lo.startswith("frames of the local oscillator")
+    assert _unread(every, SimpleNamespace(), SimpleNamespace()) == []
+    assert _unread(campaign(), None, None) == []
 
 
 def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
     sweeps = [sweep(), sweep("high", names=("X7", "X8", "F1")), sweep("down")]
-    found = _missing(SimpleNamespace(missing=["dark frames"]), None, sweeps, saturated=True)
+    found = _missing(SimpleNamespace(missing=["dark frames"]), None, sweeps, ["flat frames"])
     assert found[0] == "dark frames"
     assert found[1].startswith("instruments.camera.data_sheet")
-    assert found[2].startswith("flat frames that are not saturated")
+    assert found[2] == "flat frames"
     assert found[3].startswith("modes of high")
     assert len(found) == 4
     bench = BenchFile.from_file()
-    assert _missing(SimpleNamespace(missing=[]), bench, sweeps[:1], saturated=False) == []
+    assert _missing(SimpleNamespace(missing=[]), bench, sweeps[:1], []) == []
 
 
 def test_steps_far_apart_tell_how_far_a_mode_moves_by_the_nearest() -> None:

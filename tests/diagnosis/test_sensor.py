@@ -211,6 +211,31 @@ def test_a_beam_that_was_blocked_is_not_read(dark_dn: int) -> None:
     assert read_local_oscillator([noise], 50.0) is None
 
 
+def test_frames_in_which_a_part_of_the_pixels_is_saturated_do_not_count() -> None:
+    y, x = np.meshgrid(*[np.linspace(-1, 1, N)] * 2, indexing="ij")
+    beam = np.exp(-((y - 0.3) ** 2 + x**2))
+    good, high = drawn(9000 * beam), drawn(24000 * beam)
+    assert 0.05 < np.mean(high == 4095) < 0.45
+    lo = read_local_oscillator([part([good, high], [0.03, 0.08])], 50.0)
+    alone = read_local_oscillator([part([good], [0.03])], 50.0)
+    assert lo is not None
+    assert alone is not None
+    assert (*lo.tilt, lo.bend, lo.signal_dn) == (*alone.tilt, alone.bend, alone.signal_dn)
+    assert read_local_oscillator([part([high], [0.08])], 50.0) is None
+    lit = read_flat([part([good, high], [0.03, 0.08])], 50.0)
+    assert lit is not None
+    assert lit.exposure_s.tolist() == [0.03]
+
+
+def test_hot_pixels_do_not_make_frames_saturated() -> None:
+    hot = np.zeros((N, N), dtype=bool)
+    hot[:2] = True
+    frames = np.where(hot, 4095, drawn(3000.0))
+    lo = read_local_oscillator([part([frames], [0.04])], 50.0, hot)
+    assert lo is not None
+    assert read_local_oscillator([part([frames], [0.04])], 50.0) is None
+
+
 @pytest.mark.parametrize("waist_m", [5e-3, 9e-3, 15e-3, 60e-3])
 def test_a_hand_that_is_a_millimetre_off_tilts_a_narrow_beam_by_more(waist_m: float) -> None:
     beam = with_part(BenchParameters(), "optics.illumination", local_oscillator_waist_m=waist_m)

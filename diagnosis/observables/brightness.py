@@ -405,7 +405,11 @@ def scatter_of(series: Array) -> float:
 
 
 def _brightness(readings: Readings, _reed_solver: ReedSolver) -> ObservableGroup | None:
-    return brightness_group(readings.sweeps, readings.stills) if readings.sweeps else None
+    if not readings.sweeps:
+        return None
+    group = brightness_group(readings.sweeps, readings.stills)
+    # Sweeps may have wrong fringes at all frequencies.
+    return group if len(group.values) else None
 
 
 SOURCES: Final = (GroupSource(10, _brightness),)

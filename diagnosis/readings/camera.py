@@ -15,8 +15,8 @@ from physics.parameters.sensor import Sensor
 # A pixel is hot if it exceeds the median by this many times the noise.
 _HOT = 8.0
 # Frames are saturated if more than a small share of their pixels reach this share of what a pixel
-# can show. Chosen: a mean of all pixels is then wrong by less than 2e-5, and shot noise alone takes
-# hardly a pixel that far unless the mean is near.
+# can show. Chosen: a thousandth of the pixels that is some per cent too dark changes the mean by
+# some 1e-5, and shot noise alone takes hardly a pixel that far unless the mean is near.
 _SATURATED, _FEW_PIXELS = 0.98, 1e-3
 # Side of the square of pixels that a pixel is compared with. Chosen: a hundred of them add half a
 # per cent to its own noise, and light is even over a tenth of a millimetre.

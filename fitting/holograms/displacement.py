@@ -53,8 +53,8 @@ _FEW_STARTS, _MOST_STARTS = 3, 10
 _MOST_EXPLAINED, _EXPLAINED = 0.8, 2.0
 # Holograms with odd gains that may stay in a sweep. Chosen: as many as outliers of the modal fit.
 _FEW_WRONG = 2
-# Smaller vibrations that are tried, as a fraction. Chosen: sweeps of one radian began 1.7 times too
-# large. What gains cost at most, in nats: seven that scatter as expected cost 3.5 ± 1.9.
+# Smaller vibrations that are tried, as a fraction. Chosen: a step of the search. What gains cost at
+# most, in nats: half of a χ² of seven, 3.5 ± 1.9, and three standard deviations more.
 _LESS, _MOST_NATS = 0.5, 9.0
 # If a smaller fraction of the holograms is explained, the continuation is repeated with the
 # converged object field.
@@ -140,18 +140,19 @@ def _with_less_vibration(few: Level, found: Displacements) -> Displacements:
         0.5 * np.sum((found.gain / found.gain_nepers) ** 2) > _MOST_NATS
         and np.count_nonzero(with_fringes(whole, found.amplitude_rad)) < FEWEST_GAINS
     ):
-        solved, gain = np.isfinite(found.misfit), np.zeros_like(found.gain)
-        weight = 1 / np.maximum(found.misfit, 1)
         # Both are minimised as often.
-        same, smaller = (
-            finished(few, Solution(a, gain, object_field_of(whole, a, gain, weight)), solved,
-                     found.change)
-            for a in (found.amplitude_rad, _LESS * found.amplitude_rad)
-        )  # fmt: skip
+        same, smaller = _minimised_from(few, found, 1.0), _minimised_from(few, found, _LESS)
         if _unlikelihood(whole, smaller) >= _unlikelihood(whole, same):
             break
         found = smaller
     return found
+
+
+def _minimised_from(few: Level, found: Displacements, factor: float) -> Displacements:
+    """Minimise again from displacements times a factor, without gains."""
+    a, gain = factor * found.amplitude_rad, np.zeros_like(found.gain)
+    field = object_field_of(few.problem, a, gain, 1 / np.maximum(found.misfit, 1))
+    return finished(few, Solution(a, gain, field), np.isfinite(found.misfit), found.change)
 
 
 def _in_order(whole: Problem, found: Displacements) -> bool:

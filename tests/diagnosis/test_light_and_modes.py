@@ -11,6 +11,7 @@ from diagnosis.inference.nuisances import Nuisance
 from diagnosis.inference.problem import InferenceProblem
 from diagnosis.observables.brightness import (
     FIELD_CHANGE,
+    _brightness,
     acquired_until,
     brightness_group,
     field_changing,
@@ -194,6 +195,15 @@ def test_holograms_in_wrong_fringes_say_nothing_of_the_light() -> None:
     wrong = [v for v, place in zip(shifted.values, shifted.coordinates, strict=True)
              if place.time == "third 2"]  # fmt: skip
     assert wrong == pytest.approx([0.0], abs=5e-3)
+
+
+def test_where_no_fringe_is_right_nothing_is_compared() -> None:
+    up, down = sweep("up", 1.0, 0.0), sweep("down", 1.0, 0.0)
+    up.off = np.arange(COUNT) % 2 == 0
+    readings = SimpleNamespace(sweeps=[up, down], stills=[])
+    assert _brightness(readings, None) is not None
+    down.off = ~up.off
+    assert _brightness(readings, None) is None
 
 
 def test_light_that_walks_here_and_there_is_as_uncertain_as_walks_make_it() -> None:

@@ -139,7 +139,8 @@ def test_a_run_ends_with_a_file_a_fit_and_pictures(measured):
     answer = measured.said.json
     assert (answer["run"], answer["status"]) == (str(measured.a), "complete")
     assert answer["verdicts"] == {"ok": 47}
-    assert {"F1", "T1", "F2", "T2"} <= set(answer["fit"]["modes"])
+    refused = [each["not_identified"] for each in answer["fit"]["runs"]]
+    assert {"F1", "T1", "F2", "T2"} <= set(answer["fit"]["modes"]), refused
     assert set(answer["files"]) == {"report", "contact sheet", "response", "modes"}
     assert all(mode["method"] == "joint" for mode in answer["fit"]["modes"].values())
     assert all(Path(file).is_file() for file in answer["files"].values())

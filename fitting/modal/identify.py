@@ -69,8 +69,9 @@ _MOST_LOSS = 2.0
 _BESIDE = 300 * _CENT
 # Fraction of unexplained holograms above which no mode of a sweep is identified.
 _MOST_UNREACHED = 0.2
-# ... and discrepancy of the model: 0.02 for shape errors of 10 µm, 0.2 for reeds of another kind.
+# ... and discrepancy of the model. Chosen: four times that of shape errors of 10 µm.
 _MOST_DISCREPANCY = 0.08
+_CHECK = "check that reed, clamp and chamber are those of the protocol"
 
 
 @dataclass(frozen=True)
@@ -345,7 +346,7 @@ def _general_doubt(sweep: MeasuredSweep) -> str:
     if sweep.modal.discrepancy > _MOST_DISCREPANCY:
         return (
             f"{sweep.modal.discrepancy:.0%} of the vibration is not explained by modes of this "
-            "kind of reed; check that reed, clamp and chamber are those of the protocol"
+            f"kind of reed; {_CHECK}"
         )
     return ""
 
@@ -443,7 +444,7 @@ def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:
 def _doubt_of_name(naming: Mapping[str, ModeNaming], label: str) -> str:
     """Return the reason why a measured mode is no mode of the reed; empty if it may be one."""
     if not naming:
-        return "no possible reed has modes like those of this sweep"
+        return f"no reed of this kind has modes like those of this sweep; {_CHECK}"
     if label not in naming:
         return "its name is not known: it was not measured in the first fit of this reed"
     own = naming[label]

@@ -89,7 +89,9 @@ def reeds_behind(
     index: NDArray[np.intp],
     reeds: PlausibleReeds,
 ) -> tuple[ReedPosterior, ...]:
-    """Return the reeds that have the modes of a fit; none if no mode is measured.
+    """Return the reeds that have the modes of a fit.
+
+    There are none if no mode is measured, or if no reed of this kind has such modes.
 
     Parameters
     ----------
@@ -112,7 +114,9 @@ def reeds_behind(
         return ()
     visible = visible_coordinates(reeds.reed, basis, *points_m)
     ends_hz = float(drive_hz[0]), float(drive_hz[-1])
-    return reed_posterior(reeds, visible, measured_modes(modal, index), ends_hz)
+    found = reed_posterior(reeds, visible, measured_modes(modal, index), ends_hz)
+    likeliest = max(found, key=lambda each: each.log_evidence)
+    return found if likeliest.is_plausible else ()
 
 
 def name_modes(

@@ -25,6 +25,7 @@ from fitting.names.likelihood import (
     shape_residual,
     shape_scatter,
     shape_weights,
+    similarities_of,
     whitened,
 )
 from fitting.names.measured import MeasuredModes
@@ -41,6 +42,7 @@ from fitting.names.reed_fit import (
     towards,
     updated,
 )
+from fitting.paper.constants import H4_MISFIT_CENTS
 from holography.arrays import Array
 from physics.errors import ImpossibleReedError
 from physics.plausible.nearby import NearbyReeds
@@ -61,6 +63,8 @@ _OTHER_CLAMPS = (-1.5, 1.5)
 # of the exchange: just beyond the crossing.
 _BEYOND = 0.6
 _IMPROBABLE = 1e9
+# Modes that correlate well have a MAC of 0.9 and more (Ewins, Modal Testing, 2nd ed., 2000).
+_LEAST_SIMILARITY = 0.9
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,9 @@ class ReedPosterior:
         Probability that the resonance of that mode is outside the sweep, by all other modes.
     spurious : (a,) float
         Probability that a measured mode is none of the reed's.
+    similarity : (a,) float
+        MAC of each measured shape and that of the reed's mode, without what errors of the measured
+        shape take from it; 0 if it is none of the reed's.
     shift_cents : float
         Scale of the shifts of modes.
     free_moduli : ReedPosterior, optional
@@ -102,8 +109,19 @@ class ReedPosterior:
     mode: NDArray[np.intp]
     outside: Array
     spurious: Array
+    similarity: Array
     shift_cents: float
     free_moduli: "ReedPosterior | None" = None
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether frequencies or shapes, at least, are those of a reed of this kind.
+
+        55 reeds leave a hypothesis that knows three components of their cane by 30.4 cents (paper,
+        Table 4a); here thickness, clamp and air are known as well.
+        """
+        usual = self.shift_cents <= H4_MISFIT_CENTS
+        return usual or float(self.similarity.mean()) >= _LEAST_SIMILARITY
 
 
 def reed_posterior(
@@ -230,6 +248,8 @@ def _first(question: Question, measured: MeasuredModes) -> Fit:
 
 def _result(question: Question, fit: Fit) -> ReedPosterior:
     here, outside = fit.here, _outside(question, fit)
+    # Shapes have unit length, and no error along themselves.
+    noise = np.sum(fit.data.measured.variance, axis=1)
     return ReedPosterior(
         measured=fit.data.measured,
         nearby=here.nearby,
@@ -242,6 +262,7 @@ def _result(question: Question, fit: Fit) -> ReedPosterior:
         outside=outside,
         # A fit that looks for a mode in a sweep that does not contain it finds something else.
         spurious=expit(fit.odds + np.log1p(outside / SPURIOUS)),
+        similarity=np.where(fit.data.mode >= 0, similarities_of(here, fit.data) + noise, 0.0),
         shift_cents=fit.shifts.cents,
     )
 

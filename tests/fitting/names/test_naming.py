@@ -17,15 +17,22 @@ from fitting.names.naming import (
     name_modes,
     name_probabilities,
     named,
+    visible_coordinates,
 )
 from fitting.names.prediction import predict
 from fitting.names.reed_fit import SHIFT_CENTS, Question, refitted, towards
 from fitting.names.reed_posterior import _first, reed_posterior
 from fitting.names.straight_lines import with_straight_lines
 from physics.errors import ImpossibleReedError
+from physics.plausible.reeds import PlausibleReeds
+from physics.reed.cane.viscoelastic import Series
 from physics.reed.elements.fem import Symmetry
+from physics.reed.elements.mesh import MeshLevel
 from physics.reed.mode_classification import ModeDescriptor, names_of
 from physics.reed.reduced.elastic import all_descriptors
+from physics.reed.reduced.stored import reduced_reed
+from protocols.reed import ReedFile
+from tests.fitting.names.conftest import planting
 
 CENT = np.log(2) / 1200
 MEASURED = ("F1", "T1", "F2", "T2", "X1", "L1", "T3", "F3", "X2", "X3", "T4")
@@ -221,6 +228,42 @@ def test_a_mode_where_the_reed_has_none_is_spurious(reeds, visible, planted):
     own = slice(reeds.shifts.start)
     deviation = np.sqrt(np.diag(right.covariance)[own])
     assert np.all(np.abs(best.mean[own] - right.mean[own]) < deviation)
+
+
+@pytest.mark.parametrize(
+    ("off_cents", "strange", "plausible"),
+    [(0.0, 0.0, True), (100.0, 0.0, True), (0.0, 0.5, True), (100.0, 0.5, False)],
+)
+def test_a_reed_with_other_frequencies_and_shapes_is_of_another_kind(
+    reeds, visible, planted, off_cents, strange, plausible
+):
+    """A fifth of the motion is in no mode of the reed; errors that are as large excuse it."""
+    measured = planted(MEASURED).measured
+    rng = np.random.default_rng(1)
+    count, size = measured.shape.shape
+    shape = measured.shape + strange * rng.standard_normal((1, size)) / np.sqrt(size)
+    other = replace(
+        measured,
+        ln_hz=measured.ln_hz + off_cents * CENT * rng.standard_normal(count),
+        shape=shape / np.linalg.norm(shape, axis=1, keepdims=True),
+    )
+    found = reed_posterior(reeds, visible, other, ENDS_HZ)
+    assert {each.is_plausible for each in found} == {plausible}
+    unsure = replace(other, variance=np.full_like(measured.variance, 0.2 / size))
+    assert all(each.is_plausible for each in reed_posterior(reeds, visible, unsure, ENDS_HZ))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["alto-saxophone", "bass-clarinet"])
+def test_larger_reeds_are_of_another_kind(reeds, basis, visible, kind):
+    """They lie on the clamp of a clarinet's, and light is seen where the clarinet's reed is."""
+    geometry = ReedFile.from_file(kind).geometry()
+    others = PlausibleReeds.of(reduced_reed(geometry, MeshLevel(orders=(2, 2, 2))), Series.A)
+    planted = planting(others, visible_coordinates(others.reed, basis[0], *basis[1]))
+    modes = np.flatnonzero((others.reference.hz > ENDS_HZ[0]) & (others.reference.hz < 12e3))
+    sweep = planted(modes.tolist())
+    found = reed_posterior(reeds, visible, sweep.measured, ENDS_HZ)
+    assert not max(found, key=lambda each: each.log_evidence).is_plausible
 
 
 def test_of_two_fits_of_one_mode_one_is_not_of_the_reed(reeds, visible, planted):

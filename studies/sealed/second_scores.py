@@ -1,10 +1,13 @@
 """Scores of sealed sets of the second laboratory, by level of disorder.
 
-    python -m studies.sealed.second_scores KEY ANSWERS [--set FOLDER] [--json]
+    python -m studies.sealed.second_scores KEY ANSWERS [--set FOLDER] [--begun] [--json]
 
 FOLDER (``studies/sealed/second_laboratory`` if it is not given) has ``sealed.json``, as `make` of
 `studies.sealed.second_laboratory` writes it, and ``answered.json``, as `studies.sealed.commitments`
 prints it. Both must be committed before the key is opened: if not, nothing is scored.
+
+What was not answered counts as wrong. With ``--begun`` cases behind the last one that was answered
+are left out: cases are asked in the order of their names, which say nothing of them.
 """
 
 import argparse
@@ -98,6 +101,17 @@ def by_level(
         for level in LEVELS
     }
     return {**found, "all": scores_of(list(scored.values()))}
+
+
+def begun(
+    cases: Mapping[str, SealedCase], answers: Mapping[str, Mapping[str, Any]]
+) -> dict[str, SealedCase]:
+    """Return the cases up to the last one, in the order in which they are asked, with an answer.
+
+    Those before it that have none were asked, too, and count as wrong.
+    """
+    last = max(answers)
+    return {name: each for name, each in cases.items() if name <= last}
 
 
 def lines(scores: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -196,9 +210,12 @@ def main() -> None:
     parser.add_argument("key", type=Path)
     parser.add_argument("answers", type=Path)
     parser.add_argument("--set", type=Path, default=FOLDER, dest="folder")
+    parser.add_argument("--begun", action="store_true", help="leave out cases that were not asked")
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     cases, answers = opened_set(asked.key, asked.answers, asked.folder)
+    if asked.begun:
+        cases = begun(cases, answers)
     scores = by_level(cases, answers)
     if asked.json:
         print(json.dumps(scores, indent=1))

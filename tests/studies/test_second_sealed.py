@@ -20,7 +20,7 @@ from studies.sealed.second_laboratory import (
     read_cases,
     recorded,
 )
-from studies.sealed.second_scores import by_level, lines, opened_set
+from studies.sealed.second_scores import begun, by_level, lines, opened_set
 
 
 @pytest.fixture(scope="module")
@@ -277,6 +277,12 @@ def test_wrong_and_missing_answers_count_as_wrong(cases):
     # The missing one counts as sure; 95 % is not sure enough.
     surest = scores["right where 99 % sure"]
     assert (surest["hits"], surest["cases"]) == (0, 1)
+
+
+def test_of_a_set_that_was_begun_only_cases_that_were_not_asked_are_left_out(cases):
+    names = sorted(cases)
+    answers: dict[str, dict[str, object]] = {name: {} for name in (*names[:3], names[4])}
+    assert list(begun(cases, answers)) == names[:5]
 
 
 def test_effects_that_do_not_stand_out_are_not_counted(cases):

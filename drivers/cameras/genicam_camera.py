@@ -135,27 +135,28 @@ class GenicamCamera:
                 f"camera ({self.link.camera}): was asked to start without settings; call "
                 "configure first"
             )
-        self.stop()
+        if self._running:
+            self.stop()
         self._sequence = FrameSequence(self.link.first_number)
         self._triggered = False
         self.link.open_stream(self._buffers(self._settings))
         self._absent_s = self._trigger_due_s = self._host.now_s()
         self._clock.started()
-        self.link.start()
+        # Before it is: what ends this in between must find a camera that it has to stop.
         self._running = True
+        self.link.start()
         if self._pulses is not None:
             self._pulses.play(self._settings.frame_rate_hz)
 
     def stop(self) -> None:
-        """Take no more frames."""
-        if not self._running:
-            return
-        self._running = False
+        """Take no more frames, and let no pulses be played: another camera may have begun them."""
         try:
             if self._pulses is not None:
                 self._pulses.stop()
         finally:
-            self.link.stop()
+            if self._running:
+                self.link.stop()
+                self._running = False
 
     def grab(self, count: int, not_before_s: float) -> list[Frame]:
         """Return the next frames; see `Camera.grab`.

@@ -53,8 +53,9 @@ class CameraTrigger:
         self._required().play_pulses(frame_rate_hz)
 
     def stop(self) -> None:
-        """Play no more pulses; see `PulseSource.stop_pulses`. Raises as `play` does."""
-        self._required().stop_pulses()
+        """Play no more pulses; see `PulseSource.stop_pulses`. Nobody plays any without a source."""
+        if self._source is not None:
+            self._source.stop_pulses()
 
     def _required(self) -> PulseSource:
         if self._source is None:

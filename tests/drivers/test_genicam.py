@@ -601,6 +601,44 @@ def test_pulses_are_played_while_the_camera_runs(context):
     assert source.log[2:] == [("play", RATE_HZ, True), "stop"]
 
 
+def test_a_camera_that_was_opened_again_stops_the_pulses_of_the_one_before(context):
+    camera, link = triggered(context)
+    source = PulseSource(link)
+    context.share(CameraTrigger).offer(source)
+    with pytest.raises(InstrumentError, match="cannot be reached"):
+        camera.stop()
+    assert source.log == ["stop"]
+
+
+def test_a_camera_whose_start_was_interrupted_is_stopped():
+    class Interrupted(FakeLink):
+        def start(self):
+            super().start()
+            raise KeyboardInterrupt
+
+    link = Interrupted(VirtualClock())
+    camera = camera_on(link)
+    with pytest.raises(KeyboardInterrupt):
+        camera.start()
+    camera.stop()
+    assert link.started_s is None
+
+
+def test_a_camera_that_did_not_stop_is_stopped_again(monkeypatch):
+    camera, link = running()
+    asked = []
+
+    def refuse():
+        asked.append(len(asked))
+        raise InstrumentError("does not stop")
+
+    monkeypatch.setattr(link, "stop", refuse)
+    for _ in range(2):
+        with pytest.raises(InstrumentError, match="does not stop"):
+            camera.stop()
+    assert asked == [0, 1]
+
+
 def test_pulses_that_are_not_played_are_missed(context):
     camera, _ = triggered(context)
     with pytest.raises(BenchSetupError, match="no instrument plays them; add camera_trigger"):

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from itertools import chain
 from typing import Any, Final, cast
 
 import numpy as np
@@ -279,7 +280,7 @@ class _Opening:
 
     def _made_safe(self, failures: Mapping[RoleName, Exception]) -> tuple[str, ...]:
         """Switch off what could be opened; return which outputs may still be on."""
-        unconfirmed = instruments_off(self.instruments)
+        unconfirmed = chain.from_iterable(instruments_off(self.instruments).values())
         unreached = [
             f"{output}: may be on, if an earlier program left it on; the instrument was not opened"
             for role, output in OUTPUTS.items()

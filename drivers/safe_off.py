@@ -4,6 +4,7 @@ Each instrument is switched off on a thread of its own, so that one that does no
 of the others on.
 """
 
+import itertools
 import signal
 import threading
 import time
@@ -45,14 +46,19 @@ class _Switching:
         self._unconfirmed: Sequence[str] | None = None
         # Not waited for when the program ends: a driver may hang for ever.
         self._thread = threading.Thread(target=self._work, name=f"{role} off", daemon=True)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError:
+            # At a limit of threads, or without memory for one: here, though others then wait.
+            self._work()
 
     def _work(self) -> None:
         self._unconfirmed = self._switch_off()
 
     def wait(self, seconds: float) -> None:
         """Wait for the end, at most so long."""
-        self._thread.join(max(seconds, 0.0))
+        if self._thread.ident is not None:
+            self._thread.join(max(seconds, 0.0))
 
     @property
     def unconfirmed(self) -> Sequence[str]:
@@ -77,16 +83,24 @@ def safe_off(bench: Bench) -> tuple[str, ...]:
     tuple of str
         What was not confirmed, and why. Empty if all is off.
     """
-    return _all_off({role: partial(_off, bench, role) for role in _ORDER})
+    found = _all_off({role: partial(_off, bench, role) for role in _ORDER})
+    return tuple(itertools.chain.from_iterable(found.values()))
 
 
-def instruments_off(instruments: Mapping[RoleName, Instrument]) -> tuple[str, ...]:
-    """Switch off some instruments, each by itself; see `safe_off`.
+def instruments_off(
+    instruments: Mapping[RoleName, Instrument],
+) -> dict[RoleName, tuple[str, ...]]:
+    """Switch off some instruments at once, each by itself; see `safe_off`.
 
     Parameters
     ----------
     instruments : mapping
         Open instruments by role.
+
+    Returns
+    -------
+    dict
+        By role, what was not confirmed, and why; empty tuples if all is off.
     """
     return _all_off(
         {
@@ -97,22 +111,24 @@ def instruments_off(instruments: Mapping[RoleName, Instrument]) -> tuple[str, ..
     )
 
 
-def _all_off(switches: Mapping[RoleName, Callable[[], Sequence[str]]]) -> tuple[str, ...]:
+def _all_off(
+    switches: Mapping[RoleName, Callable[[], Sequence[str]]],
+) -> dict[RoleName, tuple[str, ...]]:
     """Switch off, and let Ctrl-C wait until all is done."""
     with _interrupts_wait() as waiting:
         deadline_s = time.monotonic() + _PATIENCE_S
-        begun = []
+        begun = dict[RoleName, _Switching]()
         for role, switch_off in switches.items():
-            begun.append(_Switching(role, switch_off))
-            begun[-1].wait(_HEAD_START_S)
-        for switching in begun:
+            begun[role] = _Switching(role, switch_off)
+            begun[role].wait(_HEAD_START_S)
+        for switching in begun.values():
             switching.wait(deadline_s - time.monotonic())
-        unconfirmed = tuple(what for switching in begun for what in switching.unconfirmed)
+        unconfirmed = {role: tuple(each.unconfirmed) for role, each in begun.items()}
     try:
         for strike in waiting:
             strike()
     except KeyboardInterrupt as stop:
-        note_unconfirmed(stop, unconfirmed)
+        note_unconfirmed(stop, tuple(itertools.chain.from_iterable(unconfirmed.values())))
         raise
     return unconfirmed
 

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final
 
-from acquire.bench.findings import Finding, confirmed_off, failed, unreached
+from acquire.bench.findings import (
+    Finding,
+    all_confirmed_off,
+    confirmed_off,
+    failed,
+    unreached,
+)
 from acquire.bench.shot import Shot, take_shot
 from acquire.runner.orders import Orders
 from drivers.bench_lock import BenchInUseError
@@ -355,12 +361,9 @@ def _shot(
 
 def _all_off(stage: _Stage) -> list[Finding]:
     """Switch everything off, and return for each instrument whether it confirmed that."""
-    findings = []
-    for role in _ROLES:
-        instrument = stage.instrument(role)
-        findings.append(
-            unreached(_OFF, role, "it could not be opened, see above; fix it and check again")
-            if instrument is None
-            else confirmed_off(_OFF, role, instrument)
-        )
-    return findings
+    found = {role: stage.instrument(role) for role in _ROLES}
+    off = all_confirmed_off(
+        _OFF, {role: instrument for role, instrument in found.items() if instrument is not None}
+    )
+    closed = "it could not be opened, see above; fix it and check again"
+    return [off.get(role) or unreached(_OFF, role, closed) for role in _ROLES]

@@ -1,6 +1,6 @@
 """Findings of `acquire bench check` and `acquire bench off`, and how both read a bench file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -106,7 +106,20 @@ def confirmed_off(check: str, role: RoleName, instrument: Instrument) -> Finding
     instrument : Instrument
         Open instrument.
     """
-    unconfirmed = instruments_off({role: instrument})
+    return all_confirmed_off(check, {role: instrument})[role]
+
+
+def all_confirmed_off(
+    check: str, instruments: Mapping[RoleName, Instrument]
+) -> dict[RoleName, Finding]:
+    """Switch instruments off, all at once; see `confirmed_off`."""
+    return {
+        role: _confirmed(check, role, unconfirmed)
+        for role, unconfirmed in instruments_off(instruments).items()
+    }
+
+
+def _confirmed(check: str, role: RoleName, unconfirmed: Sequence[str]) -> Finding:
     if unconfirmed:
         return _with_hands(failed(check, role, "; ".join(unconfirmed)))
     what = OUTPUTS.get(role)

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final
 
-from acquire.bench.findings import Finding, confirmed_off, unreached
+from acquire.bench.findings import Finding, all_confirmed_off, unreached
 from acquire.runner.orders import Orders
 from drivers.bench_lock import BenchInUseError
 from drivers.errors import BenchSetupError
@@ -131,12 +131,8 @@ def _switched_off(
             return [unreached(_CHECK, role, given_up) for role in roles]
         except BenchSetupError as error:
             return [unreached(_CHECK, role, error) for role in roles]
-        return [
-            confirmed_off(_CHECK, role, opened.instruments[role])
-            if role in opened.instruments
-            else unreached(_CHECK, role, opened.failures[role])
-            for role in roles
-        ]
+        off = all_confirmed_off(_CHECK, opened.instruments)
+        return [off.get(role) or unreached(_CHECK, role, opened.failures[role]) for role in roles]
 
 
 def _opened(

@@ -1,6 +1,7 @@
 """Errors of instruments."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from holography.errors import BenchError
 
@@ -27,6 +28,15 @@ class BenchSetupError(InstrumentError):
     exit_status = 2
 
 
+_NOTE: Final = "not confirmed off: "
+
+
+def unconfirmed_in(error: BaseException) -> tuple[str, ...]:
+    """Return which outputs an exception says are not confirmed off."""
+    notes = getattr(error, "__notes__", [])
+    return tuple(note.removeprefix(_NOTE) for note in notes if note.startswith(_NOTE))
+
+
 def note_unconfirmed(error: BaseException, unconfirmed: Sequence[str]) -> None:
     """Add to an exception which outputs are not confirmed off.
 
@@ -37,6 +47,6 @@ def note_unconfirmed(error: BaseException, unconfirmed: Sequence[str]) -> None:
     unconfirmed : sequence of str
     """
     for what in unconfirmed:
-        error.add_note(f"not confirmed off: {what}")
+        error.add_note(_NOTE + what)
     if isinstance(error, BenchError):
         error.unconfirmed = (*error.unconfirmed, *unconfirmed)

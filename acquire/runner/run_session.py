@@ -169,6 +169,12 @@ def pack_complete(
     """
     if summary.status is not RunState.COMPLETE or plan.protocol.keep != "frames":
         return summary
+    if summary.unconfirmed:
+        callbacks.announce(
+            f"{summary.path}: is not packed yet, because an output may be on; pack it later with: "
+            "acquire pack"
+        )
+        return summary
     try:
         with orders.given_up_at(1):
             pack(summary.path, callbacks.packing)

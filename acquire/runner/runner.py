@@ -14,7 +14,7 @@ from acquire.runner.orders import Orders, signals_obeyed
 from acquire.runner.received_frames import received
 from acquire.runner.recorder import Recorder, StepReport
 from acquire.runner.summary import RunState, RunSummary
-from drivers.errors import InstrumentError, note_unconfirmed
+from drivers.errors import InstrumentError, note_unconfirmed, unconfirmed_in
 from drivers.roles import Bench
 from drivers.safe_off import RAMP_S, safe_off
 from protocols.plan import Plan
@@ -244,7 +244,18 @@ class Runner:
                 return self._measure_all(recorder)
         finally:
             self._enter(RunState.CLOSING)
+            self._switch_off()
+
+    def _switch_off(self) -> None:
+        """Switch the bench off, and say at once what is not confirmed."""
+        try:
             self._unconfirmed = safe_off(self._bench)
+        except KeyboardInterrupt as stop:
+            self._unconfirmed = unconfirmed_in(stop)
+            raise
+        finally:
+            for what in self._unconfirmed:
+                self._announce(f"NOT CONFIRMED OFF, check the instrument: {what}")
 
     def _open_instruments(self) -> None:
         bench = self._bench

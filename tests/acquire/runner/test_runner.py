@@ -379,9 +379,41 @@ def test_an_output_that_stays_on_is_reported(fake_bench):
     )
 
 
-def test_what_was_not_confirmed_is_in_the_summary(tiny_plan, fake_bench, path):
-    summary = run(tiny_plan(), fake_bench(failing={"rf_off": 1}).opened(), path)
+def test_all_is_switched_off_where_no_thread_can_be_started(fake_bench, monkeypatch):
+    fake = fake_bench(output_on=True, rf=True, running=True)
+
+    def refuse(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("threading.Thread.start", refuse)
+    assert safe_off(fake.opened()) == ()
+    assert left_safe(fake)
+    assert not fake.running
+
+
+def test_what_was_not_confirmed_is_said_at_once_and_in_the_summary(tiny_plan, fake_bench, path):
+    said, fake = [], fake_bench(failing={"rf_off": 1})
+    summary = run(tiny_plan(), fake.opened(), path, announce=said.append)
     assert summary.status is RunState.COMPLETE
+    assert summary.unconfirmed == ("RF off: fake: rf_off fails; mend it",)
+    assert [line for line in said if "rf_off fails" in line] == said != []
+
+
+def test_a_ctrl_c_while_switching_off_hides_nothing(tiny_plan, fake_bench, path):
+    """Python's own Ctrl-C, which a caller with orders of its own may have left."""
+    fake = fake_bench(failing={"rf_off": 1})
+    runner = runner_of(tiny_plan(steps=2), fake, path)
+
+    def interrupt(name, count):
+        if name == "rf_off":
+            signal.raise_signal(signal.SIGINT)
+
+    fake.before = interrupt
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        summary = runner.execute()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert summary.unconfirmed == ("RF off: fake: rf_off fails; mend it",)
 
 

@@ -18,7 +18,7 @@ _SHOWS = {
     RunKind.DARK: "dark frames (offset, read noise, hot pixels)",
     RunKind.FLAT: "flat frames (linearity, pattern, vignetting)",
     RunKind.LO_ONLY: "frames of the local oscillator alone (its profile)",
-    RunKind.ORDER0: "order 0 of the reed at rest (phase steps, speckle, stability)",
+    RunKind.ORDER0: "the reed at rest, sideband 0 (phase steps, speckle, stability)",
 }
 
 
@@ -121,7 +121,9 @@ class Campaign:
             lacks.append("a sweep after a new clamping (what the clamp does)")
         errors = [step.lock_error_se_hz for part in sweeps for step in part.good_steps]
         if not np.isfinite(errors).any():
-            lacks.append("by how much each step missed its lock (detunings, the walk of phases)")
+            lacks.append(
+                "lock errors of the steps (frequency errors, phase drift): no run file has any"
+            )
         return lacks
 
 

@@ -52,7 +52,7 @@ _UNAFFECTED: Final = MappingProxyType(
 _CHECK: Final = MappingProxyType(
     {
         "drive": "measure the sound pressure at the reed with a microphone",
-        "chamber": "look into the chamber, and measure without clay",
+        "chamber": "look into the chamber, and measure with its filling taken out",
         "clocks": "compare the frequencies and clocks of all instruments",
         "optics": "record holograms of the reed at rest",
         "sensor": "record dark frames and frames of even light",
@@ -86,7 +86,7 @@ NOTES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = MappingProxyType(
         ),
         "lost_frames": ("look at the frame counter of the camera", ()),
         "synthesizer_detuning": (
-            "compare both tuning words; record order 0 for some minutes",
+            "compare both tuning words; record the reed at rest (sideband 0) for some minutes",
             ("phase_step_error",),
         ),
         "generator_clock": ("use one clock for all instruments", ("synthesizer_detuning",)),
@@ -133,7 +133,7 @@ NOTES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = MappingProxyType(
             "change the volume of the chamber; measure another reed",
             ("acoustic_resonance", "second_acoustic_resonance"),
         ),
-        "chamber_leakage": ("take the clay out", ("thickness_tilt",)),
+        "chamber_leakage": ("take the filling out of the chamber", ("thickness_tilt",)),
         "laser_power_drift": ("put a photodiode next to the bench", ("laser_mode_hop",)),
         "laser_mode_hop": ("record a reference image at every step", ("laser_power_drift",)),
         "speckle_decorrelation": (
@@ -146,7 +146,8 @@ NOTES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = MappingProxyType(
         ),
         "carrier_leak": ("sweep with the drive off", ("sideband_crosstalk",)),
         "phase_step_error": (
-            "record order 0: compare steps within an acquisition and between acquisitions",
+            "record the reed at rest (sideband 0): compare steps within an acquisition and between "
+            "acquisitions",
             ("synthesizer_detuning",),
         ),
         "defocus": ("focus again on the edges of the reed", ()),
@@ -159,7 +160,7 @@ NOTES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = MappingProxyType(
         "temperature_drift": ("sweep up and down, and again after an hour", ("drying",)),
         "drying": ("wait for an hour and sweep again; weigh the reed", ("temperature_drift",)),
         "bench_vibration": (
-            "look at order 0 with all machines off",
+            "record the reed at rest (sideband 0) with all machines off",
             ("phase_step_error",),
         ),
         "coarse_mesh": ("halve the mesh size", ("transverse_modulus",)),

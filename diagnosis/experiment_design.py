@@ -161,13 +161,13 @@ EXPERIMENTS: Final[tuple[Experiment, ...]] = (
         ("forces", "lines of the drive"),
         _without_clay,
         campaign_parts=(
-            _part("open", "take the clay out of the chamber", change={"chamber": "symmetric"}),
+            _part("open", "take the filling out of the chamber", change={"chamber": "symmetric"}),
         ),
         possible=lambda parameters: parameters.chamber.filling is Filling.ASYMMETRIC,
     ),
     Experiment(
         "long_rest",
-        "record order 0 of the reed at rest, 64 acquisitions",
+        "record the reed at rest (sideband 0), 64 acquisitions",
         2.0,
         _STILL,
         _same,

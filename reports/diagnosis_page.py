@@ -49,9 +49,9 @@ def words(verdict: Diagnosis) -> list[str]:
         said.append(f"Candidates that together have 90 % probability: {_likely_words(verdict)}.")
         low, high = verdict.likeliest_range
         said.append(
-            f"The probability of the first of these is between {low:.0%} and {high:.0%} if no "
-            "effect, one, two, or something unknown is three times more or less likely beforehand. "
-            "What would not show in these runs counts as no effect."
+            f"If no effect, one effect, two effects, or an unknown cause is given three times more "
+            "or less prior probability, that of the first candidate stays between "
+            f"{low:.0%} and {high:.0%}. What would not show in these runs counts as no effect."
         )
     if verdict.explained is not None and verdict.effects:
         said.append(f"{_closed_words(verdict)} {_NOT_PROOF}")
@@ -66,7 +66,7 @@ def _headline(verdict: Diagnosis) -> str:
     if verdict.kind == "none":
         p = verdict.probability_of_what_shows["none"]
         return (
-            "Measurement and simulation agree; no cause of a difference is found that these runs "
+            "No cause of a difference between measurement and simulation was found that these runs "
             f"could show ({p:.0%})."
         )
     if verdict.kind == "unknown":
@@ -85,7 +85,14 @@ def _headline(verdict: Diagnosis) -> str:
     group = next((group for group in verdict.shown if name in group), (name,))
     sure = sum(verdict.probability_of_what_shows.get(other, 0.0) for other in group) >= _PROBABLE
     what = "Cause of the difference" if sure else "Most likely cause, which is not certain"
-    return f"{what}: {_title(name)} ({p:.0%})."
+    sizes = _size_words(verdict, name)
+    own = f"{_title(name)} ({p:.0%})" + (f", {sizes}" if sizes else "")
+    if len(group) == 1:
+        return f"{what}: {own}."
+    return (
+        f"{what}: {_class_words(group, verdict)}, which these runs cannot separate. "
+        f"The likeliest: {own}."
+    )
 
 
 def _where(where: GapMap) -> str:
@@ -147,7 +154,7 @@ def _action(verdict: Diagnosis) -> str:
             "(acquire diagnose … --adopt BENCH.yaml), and measure a campaign with it."
         )
     if verdict.kind == "none" and len(verdict.shown) == 1 and not verdict.missing:
-        return "What to do next: nothing. Measurement and simulation agree."
+        return "What to do next: nothing."
     best = next(iter(verdict.next_experiments), None)
     if best is not None and best.expected_nats >= LEAST_NATS:
         one, other = verdict.compared
@@ -392,9 +399,7 @@ def _floor_words(verdict: Diagnosis) -> str:
     doubtful = [floor for floor in verdict.floor if not floor.trusted]
     repeated = sum(floor.replicates > 0 for floor in verdict.floor)
     others = len(verdict.floor) - repeated
-    unchecked = (
-        f" Nothing was repeated in {others} others, which this cannot check." if others else ""
-    )
+    unchecked = f" {others} groups without repeated numbers could not be checked." if others else ""
     wrong = [f"{number} ({floor.group})" for floor in verdict.floor for number in floor.wrong]
     if wrong:
         unchecked += f" Results of fits that are taken to be wrong: {'; '.join(wrong)}."
@@ -411,8 +416,8 @@ def _doubt(floor: Floor) -> str:
     """Return why a group is not trusted: what is worst of errors, repeated numbers, and the fit."""
     if floor.inflated > 1:
         return (
-            f"repeated numbers scattered {floor.inflated:.1f} times as much, in no order; errors "
-            "were made as large before any cause was tried"
+            f"repeated numbers scattered {floor.inflated:.1f} times as much, without a trend; "
+            "errors were increased by that factor before any cause was tried"
         )
     if floor.scatter > floor.factor:
         return f"repeated numbers scatter {floor.scatter:.1f} times as much"
@@ -427,12 +432,12 @@ def _floor(verdict: Diagnosis) -> Table:
         Column("scatter", "scatter", "", ".2f",
                "of repeated numbers around what is named, divided by what their errors predict"),
         Column("chance", "by chance", "", ".1%", "probability of so much scatter by chance"),
-        Column("order_chance", "in any order", "", ".0%",
-               "share of permutations in time in which repeated numbers are as smooth; drifts are "
-               "smoother than nearly all of them"),
-        Column("inflated", "errors times", "", ".2f",
-               "by how much errors were increased before any cause was tried"),
-        Column("factor", "noise times", "", ".2f", "by how much the fit increased the noise"),
+        Column("order_chance", "p of order", "", ".0%",
+               "fraction of permutations in time in which repeated numbers are as smooth; it is "
+               "small where they drift"),
+        Column("inflated", "factor before", "", ".2f",
+               "by which errors were increased before any cause was tried"),
+        Column("factor", "factor in fit", "", ".2f", "by which the fit increased the noise"),
     )  # fmt: skip
     rows = tuple(
         (f.group, f.count, f.replicates, f.scatter, f.chance, f.order_chance, f.inflated, f.factor)

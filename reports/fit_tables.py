@@ -73,8 +73,8 @@ _RESONANCE_COLUMNS: Final = (
            "displacement at resonance where the mode moves most, from rest to the largest "
            "deflection (half of peak to peak), ± standard error"),
     Column("nm_per_v", "per volt", "nm/V", _per_volt,
-           "that displacement, divided by the peak volts of the drive, ± standard error, with what "
-           "the drive scatters from step to step"),
+           "that displacement, divided by the peak volts of the drive, ± standard error, with the "
+           "scatter of the drive from step to step"),
     Column("residual_cents", "residual", "cents",
            lambda value: value if isinstance(value, str) else f"{value:+.1f}",
            "measured less fitted frequency"),

@@ -23,8 +23,10 @@ from runs.reader import Run
 _CAMPAIGN: Final = description_kind("next campaign")
 _SWEEP: Final = description_kind("protocol of a next campaign")
 _HEAD = """\
-# {words}: {minutes:g} min with sweeps of the paper's length, to tell {one} from {other}.
-# Expected to tell by {nats:.1f} nats of log odds. `acquire run {file} --reed {reed}` runs it.
+# {words}: {minutes:g} min with sweeps of the paper's length, to decide between
+# {one} and {other}. Expected change of their log odds: {nats:.1f} nats.
+# `acquire run {file} --bench BENCH.yaml --reed {reed}` measures it; without --bench, on the
+# simulated bench.
 """
 
 

@@ -11,7 +11,7 @@ from diagnosis.resonance_fit import FittedSize, ResonanceFit
 from physics.effects.effect import Effect
 from reports.tables import Column, Table
 
-_NOT_PROOF = "to explain a gap does not prove its cause"
+_NOT_PROOF = "explaining a difference does not prove its cause"
 # Effects with log odds above this, in nats, are described; 1 nat is odds of 2.7 to 1.
 _LEAST_NATS = 1.0
 

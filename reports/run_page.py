@@ -209,7 +209,9 @@ def _cane(fit: ReedFit) -> _Cane:
     table = parameters_table(fit)
     if fit.parameters is None or table is None:
         return _Cane(None, [f"No parameters: {fit.reason}"])
-    unphysical = ["A spring came out negative: the fit lies outside physics."]
+    unphysical = [
+        "The fitted model has a spring with a negative constant: do not use these parameters."
+    ]
     return _Cane(replace(table, title=""), [] if fit.parameters.physical else unphysical)
 
 
@@ -234,8 +236,8 @@ _SHOWS: Final = {
     "contact sheet": (
         "Image of the vibrating reed at every step of the sweep",
         "Brightness is the amplitude of the light that the vibration shifted. Each image has the "
-        "number of its step; modes and excitation peaks have coloured frames. In the "
-        "picture of a mode stands its displacement at resonance in nm. Tip down.",
+        "number of its step; modes and excitation peaks have coloured frames. The picture "
+        "of a mode states its displacement at resonance in nm. Tip down.",
     ),
     "response": (
         "Amplitude of every mode against drive frequency",

@@ -12,11 +12,11 @@ from reports.tables import Column, Table
 _PLAN_COLUMNS: Final = (
     Column("step", "k", "", str),
     Column("asked_hz", "asked", "Hz", ".3f"),
-    Column("drive_hz", "drive", "Hz", exact_decimal),
+    Column("drive_hz", "frequency", "Hz", exact_decimal),
     Column("aom1_hz", "AOM1", "Hz", exact_decimal),
     Column("difference_hz", "AOM1 − AOM2", "Hz", exact_decimal),
     Column("lock_residual_hz", "residual", "Hz", exact_decimal),
-    Column("volts", "drive", "V", ".3f"),
+    Column("volts", "voltage", "V", ".3f"),
     Column("carrier_leak", "leak", "", ".2%"),
 )
 

@@ -61,7 +61,7 @@ def diagnose(
 ) -> None:
     """Find where measurement and simulation differ, the likeliest cause, and how much it explains.
 
-    Give it all runs of a campaign (dark, flat, local oscillator alone, order 0 at rest, and sweeps
+    Give it all runs of a campaign (dark, flat, local oscillator alone, the reed at rest, and sweeps
     up, down, at low amplitude, shuffled and after a new clamping). With fewer runs the answer is
     less certain, and the missing runs are listed.
     """
@@ -144,7 +144,7 @@ def _diagnose_resonances(table: Path | None, as_json: bool) -> None:
 
 
 def effects(as_json: AsJson = False, debug: Debug = False) -> None:
-    """List the causes that `acquire diagnose` can recognise, each with its expected size."""
+    """List the causes that `acquire diagnose` can recognise, each with its usual size."""
     from physics.effects.catalogue import CATALOGUE
     from reports.effects import effects_table, effects_to_json
     from reports.tables import terminal_table

@@ -105,7 +105,10 @@ def pack_runs(
 
 def pause_run(
     run_file: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Run file of a running measurement.")
+        Path,
+        typer.Argument(
+            metavar="RUN", help="Run file, or folder of a campaign, that is being measured."
+        ),
     ],
     as_json: AsJson = False,
     debug: Debug = False,
@@ -116,7 +119,8 @@ def pause_run(
 
 def continue_run(
     run_file: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Run file of a paused measurement.")
+        Path,
+        typer.Argument(metavar="RUN", help="Run file, or folder of a campaign, that is paused."),
     ],
     as_json: AsJson = False,
     debug: Debug = False,

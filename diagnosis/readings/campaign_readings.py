@@ -204,5 +204,5 @@ def _missing(
     for sweep in sweeps:
         compared = {*sweep.names} & {*common_modes(sweeps)}
         if 2 * len(compared) < len(sweep.names):
-            missing.append(f"modes of {sweep.name} that other sweeps show (few are compared)")
+            missing.append(f"more than half of the modes of {sweep.name} in other sweeps")
     return missing

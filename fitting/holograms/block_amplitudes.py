@@ -376,8 +376,8 @@ def _holograms(
             np.isfinite(field).all() and step.noise_level > 0 and np.isfinite(step.noise_level)
         ):
             raise FitError(
-                f"{run.path}: step {step.index} is said to be ok, but its field or its noise level "
-                "is no number; give it another verdict"
+                f"{run.path}: step {step.index} has verdict ok, but its field or its noise level "
+                "is not a number: the file is damaged; measure the run again"
             )
         if unshifted is not None:
             field = field - unshifted.fraction.get(step.position, 0.0) * unshifted.light

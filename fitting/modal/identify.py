@@ -396,7 +396,7 @@ def _own_doubts(sweep: MeasuredSweep) -> list[str]:
     doubts = [_doubt(sweep.modal, m, sweep.block_amplitudes) for m in range(count)]
     for m, (low_hz, high_hz) in _hidden(sweep).items():
         doubts[m] = doubts[m] or (
-            f"all holograms from {low_hz:.0f} to {high_hz:.0f} Hz are in another fringe, or are "
+            f"all holograms from {low_hz:.0f} to {high_hz:.0f} Hz are in a wrong fringe, or are "
             "not explained: its resonance may be there"
         )
     return doubts
@@ -429,7 +429,7 @@ def _doubt(modal: ModalFit, m: int, block_amplitudes: BlockAmplitudes) -> str:
     if (loss := modal.loss_over_others(m)) > _MOST_LOSS:
         return f"its loss factor is {loss:.1f} times that of other modes: it may be two resonances"
     if modal.is_left_out(m, block_amplitudes.drive_hz):
-        return "holograms at its resonance are in another fringe, or are not explained"
+        return "most holograms at its resonance are in a wrong fringe, or are not explained"
     # A resonance shows by the response on both sides of it.
     width = 0.5 * float(modal.loss_factor[m]) + _CENT * float(modal.error_cents[m])
     first, last = float(block_amplitudes.drive_hz[0]), float(block_amplitudes.drive_hz[-1])

@@ -106,8 +106,10 @@ def run(
     """Open the bench of a plan, measure the sweep, close the bench, and pack the frames.
 
     However the run ends, the tweeter and the RF are switched off before this returns. Ctrl-C stops
-    the run after the current step. A bench that can operate its shutters and lamp does so first,
-    for example for a run of dark frames; on other benches a person does it before.
+    the run after the current step. Call it on the main thread: only there are signals that end a
+    process obeyed, and on another one they end it with all outputs on. A bench that can operate its
+    shutters and lamp does so first, for example for a run of dark frames; on other benches a person
+    does it before.
 
     Parameters
     ----------

@@ -13,3 +13,7 @@ class DiskError(RunFileError):
     """A disk that cannot be written or read: it is full, removed, or failing."""
 
     exit_status = 1
+
+
+class SilentDiskError(DiskError):
+    """A disk that neither writes nor fails."""

@@ -8,7 +8,7 @@ import time
 import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +27,7 @@ from holography.reconstruction import Reconstruction
 from protocols.plan import Plan
 from protocols.step import Step
 from runs.documents import DocumentLog, event_data, recorded_data
+from runs.errors import SilentDiskError
 from runs.layout import Interruption, RunLabels, Status
 from runs.measured_step import MeasuredStep
 from runs.reader import Run
@@ -36,6 +37,9 @@ from runs.writer import RunWriter, stamp
 
 # Largest number of unfinished steps. Chosen: one waits while one is processed.
 _MAX_WAITING_STEPS: Final = 2
+# Outputs do not stay on longer than this for a disk. Chosen: one that wakes up, or a network that
+# comes back, takes half a minute.
+_PATIENCE_S: Final = 60.0
 # Verdicts of steps whose frames do not show the step, or are not all there.
 _NOT_OF_THE_STEP: Final = (
     Verdict.DROPPED,
@@ -237,10 +241,18 @@ class Recorder:
 
         Raises
         ------
+        SilentDiskError
+            If the next one is not finished within a minute.
         Exception
             The error of a finished step, if there was one.
         """
         while self._waiting and (len(self._waiting) > waiting or self._waiting[0].done()):
+            wait([self._waiting[0]], _PATIENCE_S)
+            if not self._waiting[0].done():
+                raise SilentDiskError(
+                    f"{self._writer.path}: a step was not recorded within {_PATIENCE_S:g} s; check "
+                    "the disk, then continue with --resume"
+                )
             self._waiting.popleft().result()
 
     def finish(self, status: Status, reason: str = "") -> None:
@@ -251,8 +263,9 @@ class Recorder:
         Exception
             The error of a step or of closing, if there was one.
         """
-        self.settle()
+        # All is off: a disk may take its time.
         self._thread.shutdown()
+        self.settle()
         self._documents.finish(status, reason)
         self._writer.finish(status)
 

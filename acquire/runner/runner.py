@@ -19,6 +19,7 @@ from drivers.roles import Bench
 from drivers.safe_off import RAMP_S, safe_off
 from protocols.plan import Plan
 from protocols.step import Step
+from runs.errors import SilentDiskError
 from runs.layout import Interruption, RunLabels
 from runs.verdict import ReadBack, Verdict
 from runs.writer import stamp
@@ -229,6 +230,10 @@ class Runner:
                 reason = self._measure(recorder)
             except KeyboardInterrupt:
                 reason = _ON_REQUEST
+            except SilentDiskError as error:
+                # To leave the recorder is to wait for the disk.
+                self._announce(str(error))
+                raise
             recorder.finish("interrupted" if reason else "complete", reason)
         return recorder, reason
 

@@ -20,7 +20,7 @@ from drivers.errors import InstrumentError, LimitError
 from holography.reconstruction import mean_power
 from protocols.errors import ProtocolError
 from protocols.plan import Plan
-from runs.errors import RunFileError
+from runs.errors import RunFileError, SilentDiskError
 from runs.reader import Run, RunLabels
 from runs.verdict import Verdict
 
@@ -397,6 +397,29 @@ def test_what_was_not_confirmed_is_said_at_once_and_in_the_summary(tiny_plan, fa
     assert summary.status is RunState.COMPLETE
     assert summary.unconfirmed == ("RF off: fake: rf_off fails; mend it",)
     assert [line for line in said if "rf_off fails" in line] == said != []
+
+
+def test_a_disk_that_does_not_answer_leaves_nothing_on(tiny_plan, fake_bench, path, monkeypatch):
+    fake, answers, safe = fake_bench(), threading.Event(), []
+
+    def announce(_line):
+        safe.append(left_safe(fake))
+        answers.set()
+
+    monkeypatch.setattr("acquire.runner.recorder._PATIENCE_S", 0.2)
+    with pytest.raises(SilentDiskError, match="--resume"):
+        run(
+            tiny_plan(steps=9),
+            fake.opened(),
+            path,
+            progress=lambda report: answers.wait(30),
+            announce=announce,
+        )
+    assert safe == [True]
+    with Run.open(path) as measured:
+        assert measured.status == "failed"
+        assert measured.steps[0].verdict.measured
+        assert not measured.steps[8].verdict.measured
 
 
 def test_a_ctrl_c_while_switching_off_hides_nothing(tiny_plan, fake_bench, path):

@@ -108,7 +108,8 @@ def open_bench(
     Returns
     -------
     Bench
-        A context manager that releases the instruments.
+        A context manager that releases the instruments. Call `drivers.safe_off.safe_off` before
+        it is left: only that returns which outputs are not confirmed off.
 
     Raises
     ------

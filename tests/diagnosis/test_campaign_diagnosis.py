@@ -157,6 +157,9 @@ def test_what_is_likeliest_but_not_likely_is_called_so(mixed) -> None:
     likelier = replace(alone, probability_of_what_shows=shares, shown=(together, ("none",)))
     assert cause in words(likelier)[0]
     assert "not certain" not in words(likelier)[0]
+    # Then both are named, with what they have together and with the size of the likeliest.
+    for part in (BY_ID["carrier_leak"].title, "(56%)", f"{cause}, fraction 0."):
+        assert part in words(likelier)[0]
 
 
 def test_words_tell_where_how_far_and_what_was_not_measured(mixed) -> None:

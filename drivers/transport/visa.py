@@ -8,6 +8,7 @@ VXI-11 it gives an instrument that is gone 1 s more than asked to answer.)
 
 import math
 import socket
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -49,7 +50,8 @@ class VisaLine:
 
     Answers belong to questions by their order alone, so one that comes late could be taken for
     that of a later question. Therefore, after a question without an answer, the line is drained
-    before the next. Draining relies on ``*IDN?``, which all instruments of IEEE 488.2 know.
+    before the next. Draining relies on ``*IDN?``, which all instruments of IEEE 488.2 know. Several
+    threads may ask and send: a question waits for the answer to that of another one.
 
     Parameters
     ----------
@@ -78,6 +80,8 @@ class VisaLine:
         self._instrument: Any = instrument
         self._device, self._resource, self._timeout_s = device, resource, timeout_s
         self._in_step = False
+        # A generator and the camera that it triggers are switched off on threads of their own.
+        self._asking = threading.RLock()
         # Of its identity: how often it was asked for, and has not come.
         self._owed = 0
         self._until_s = math.inf
@@ -137,15 +141,16 @@ class VisaLine:
         InstrumentError
             If there is no answer, it is no ASCII, or the connection is lost.
         """
-        if not self._in_step:
-            self.drain()
-        answer = self._answer(text)
-        if answer is None:
-            self.drain()
+        with self._asking:
+            if not self._in_step:
+                self.drain()
             answer = self._answer(text)
-        if answer is None:
-            self._raise_silent(text)
-        return answer
+            if answer is None:
+                self.drain()
+                answer = self._answer(text)
+            if answer is None:
+                self._raise_silent(text)
+            return answer
 
     def send(self, text: str) -> None:
         """Send a command that has no answer; whether it was obeyed has to be asked.

@@ -114,6 +114,24 @@ def talking(kind, faults=None, device=None, timeout_s=TIMEOUT_S):
 # --- What it does ------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("kind", STREAMS)
+def test_each_of_several_threads_has_the_answers_to_its_own_questions(kind):
+    wrong = []
+
+    def ask(name):
+        for number in range(20):
+            if line.ask(f"SAY? {name}{number}") != f"{name}{number}":
+                wrong.append((name, number))
+
+    with talking(kind, WireFaults(slow_s=0.005), timeout_s=2.0) as line:
+        threads = [threading.Thread(target=ask, args=(name,)) for name in "AB"]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
 def test_questions_are_answered_and_commands_arrive(kind):
     device = Talker()
     with talking(kind, device=device, timeout_s=2.0) as line:

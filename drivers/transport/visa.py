@@ -209,29 +209,30 @@ class VisaLine:
         InstrumentError
             If the instrument does not say what it is, or the connection is lost.
         """
-        self._in_step = False
-        if self._patience_s() <= _AT_ONCE_S:
-            self._raise_silent(_IDENTIFY)
-        if not self._is_stream:
-            self._owed = 0
-        self._ask_identity()
-        heard = False
-        deadline_s = time.monotonic() + self._timeout_s
-        while True:
-            answer = self._read(_IDENTIFY)
-            heard |= answer == self.identity
-            now_s = time.monotonic()
-            if not self._owed:
-                break
-            if now_s >= self._until_s:
+        with self._asking:
+            self._in_step = False
+            if self._patience_s() <= _AT_ONCE_S:
                 self._raise_silent(_IDENTIFY)
-            if heard and answer is not None:
-                deadline_s = now_s + _LONG * self._timeout_s
-            if now_s >= deadline_s:
-                break
-        if not heard:
-            self._raise_silent(_IDENTIFY)
-        self._in_step, self._owed = True, 0
+            if not self._is_stream:
+                self._owed = 0
+            self._ask_identity()
+            heard = False
+            deadline_s = time.monotonic() + self._timeout_s
+            while True:
+                answer = self._read(_IDENTIFY)
+                heard |= answer == self.identity
+                now_s = time.monotonic()
+                if not self._owed:
+                    break
+                if now_s >= self._until_s:
+                    self._raise_silent(_IDENTIFY)
+                if heard and answer is not None:
+                    deadline_s = now_s + _LONG * self._timeout_s
+                if now_s >= deadline_s:
+                    break
+            if not heard:
+                self._raise_silent(_IDENTIFY)
+            self._in_step, self._owed = True, 0
 
     def close(self) -> None:
         """Hang up. May be called twice; raises nothing."""

@@ -38,8 +38,9 @@ from runs.writer import RunWriter, stamp
 # Largest number of unfinished steps. Chosen: one waits while one is processed.
 _MAX_WAITING_STEPS: Final = 2
 # Outputs do not stay on longer than this for a disk. Chosen: one that wakes up, or a network that
-# comes back, takes half a minute.
-_PATIENCE_S: Final = 60.0
+# comes back, takes half a minute. In slices: a process that stood still loses one of them only.
+_PATIENCE_S: Final = 60
+_SLICE_S: Final = 1.0
 # Verdicts of steps whose frames do not show the step, or are not all there.
 _NOT_OF_THE_STEP: Final = (
     Verdict.DROPPED,
@@ -247,11 +248,10 @@ class Recorder:
             The error of a finished step, if there was one.
         """
         while self._waiting and (len(self._waiting) > waiting or self._waiting[0].done()):
-            wait([self._waiting[0]], _PATIENCE_S)
-            if not self._waiting[0].done():
+            if not any(wait([self._waiting[0]], _SLICE_S).done for _ in range(_PATIENCE_S)):
                 raise SilentDiskError(
-                    f"{self._writer.path}: a step was not recorded within {_PATIENCE_S:g} s; check "
-                    "the disk, then continue with --resume"
+                    f"{self._writer.path}: a step was not recorded within {_PATIENCE_S} s; check "
+                    "the disk, and what watches the steps; then continue with --resume"
                 )
             self._waiting.popleft().result()
 

@@ -406,7 +406,7 @@ def test_a_disk_that_does_not_answer_leaves_nothing_on(tiny_plan, fake_bench, pa
         safe.append(left_safe(fake))
         answers.set()
 
-    monkeypatch.setattr("acquire.runner.recorder._PATIENCE_S", 0.2)
+    monkeypatch.setattr("acquire.runner.recorder._PATIENCE_S", 1)
     with pytest.raises(SilentDiskError, match="--resume"):
         run(
             tiny_plan(steps=9),

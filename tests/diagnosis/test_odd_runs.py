@@ -281,7 +281,7 @@ def test_what_runs_do_not_tell_though_they_are_there_is_missing() -> None:
     assert found[0] == "dark frames"
     assert found[1].startswith("instruments.camera.data_sheet")
     assert found[2] == "flat frames"
-    assert found[3].startswith("modes of high")
+    assert "modes of high" in found[3]
     assert len(found) == 4
     bench = BenchFile.from_file()
     assert _missing(SimpleNamespace(missing=[]), bench, sweeps[:1], []) == []
@@ -338,9 +338,7 @@ def test_holograms_that_are_no_numbers_are_refused_by_name(field, noise) -> None
     step = SimpleNamespace(position=0, index=7, noise_level=noise)
     run = SimpleNamespace(path=Path("up.h5"), field=lambda _position: np.full((2, 2), field))
     blocks = SimpleNamespace(x_m=np.zeros(1), high=2, wide=2, of=lambda field: field.reshape(1, 4))
-    with pytest.raises(
-        FitError, match=r"up\.h5: step 7 is said to be ok, but its field or its noise"
-    ):
+    with pytest.raises(FitError, match=r"up\.h5: step 7 has verdict ok"):
         _holograms(run, [step], blocks, None)
 
 

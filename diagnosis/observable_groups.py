@@ -76,12 +76,16 @@ class GroupNuisances:
     freedom : float
         Standard deviation of the log of the factor on these standard deviations.
     source : str
+    rare : bool
+        Whether few of the amounts are other than 0. Those that are near 0 then say nothing about
+        the others: the factor is at least 1.
     """
 
     name: str
     columns: Array
     freedom: float
     source: str
+    rare: bool = False
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ def tweeter_pressure_pa(tweeter: Tweeter, frequency_hz: float, volts: float) -> 
 def resonance_gain(resonance: AcousticResonance, hz: Array | float) -> ComplexArray:
     """Return the ratio of the pressures behind and before an acoustic resonance."""
     ratio = np.asarray(hz, dtype=float) / resonance.frequency_hz
-    through = resonance.strength / (1 - ratio**2 + 1j * ratio / resonance.quality)
+    residue = resonance.strength * np.exp(1j * resonance.phase_rad)
+    through = residue / (1 - ratio**2 + 1j * ratio / resonance.quality)
     return np.asarray(1 + through, dtype=complex)
 
 

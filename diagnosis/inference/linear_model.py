@@ -48,7 +48,8 @@ class Scales:
     noise : (g,) float
         Of each group of observables; not negative.
     families : (f,) float
-        Of each family of nuisances; the last two are the form of effects, see `FORMS`.
+        Of each family of nuisances, not negative for rare ones; the last two are the form of
+        effects, see `FORMS`.
     """
 
     noise: Array
@@ -79,6 +80,8 @@ class LinearModel:
         Standard deviation of the log of each group's noise factor.
     family_freedom : (f,) float
         The same of each family's factor.
+    rare : (f,) bool
+        Whether the factor of a family is at least 1, see `GroupNuisances`.
     form : (n,) float
         Further variance of each number by the form of effects, where their factor is 1.
     log_prior : float
@@ -91,6 +94,7 @@ class LinearModel:
     family: NDArray[np.intp]
     noise_freedom: Array
     family_freedom: Array
+    rare: NDArray[np.bool_]
     form: Array
     log_prior: float = 0.0
 
@@ -274,24 +278,48 @@ def log_width(model: LinearModel, weighed: Weighed) -> float:
     """
     scales, found = weighed.scales, weighed.posterior
     left = model.left + model.slopes @ found.mean
-    _, spread = found.variances()
+    uncertain, spread = found.variances()
     # Squares that are left of each group, and how many the nuisances leave: they tell its noise.
     share = np.exp(2 * scales.noise)[model.group] / found.variance
     groups = len(model.noise_freedom)
-    squares = np.bincount(model.group, share * left**2 / found.variance, groups)
-    counts = np.bincount(model.group, share * (1 - spread / found.variance), groups)
-    # At its least value noise may be less likely by a slope; elsewhere the likeliest has none.
-    slope = np.where(scales.noise > 0, 0.0, np.minimum(squares - counts, 0.0))
-    bend = 2 * squares + 1 / model.noise_freedom**2
-    widths = 0.5 * slope**2 / bend - 0.5 * np.log(0.25 * bend * model.noise_freedom**2)
-    widths += log_ndtr((scales.noise + slope / bend) * np.sqrt(bend))
+    squares = _sums(model.group, share * left**2 / found.variance, groups)
+    counts = _sums(model.group, share * (1 - spread / found.variance), groups)
+    widths = _log_widths_from_0(squares, counts, model.noise_freedom, scales.noise)
     # Squares of the nuisances of each family tell its scale.
     families = len(model.family_freedom) - len(FORMS)
     scaled = (model.family >= 0) & (model.family < families)
-    amounts = found.mean[scaled] ** 2 / model.prior_variance(scales)[scaled]
-    sums = np.bincount(model.family[scaled], amounts, families)
-    bends = 2 * sums * model.family_freedom[:families] ** 2 + 1
-    return float(widths.sum() - 0.5 * np.log(bends).sum())
+    variance, own = model.prior_variance(scales)[scaled], model.family[scaled]
+    sums = _sums(own, found.mean[scaled] ** 2 / variance, families)
+    told = _sums(own, 1 - uncertain[scaled] / variance, families)
+    freedom, rare = model.family_freedom[:families], model.rare[:families]
+    free = -0.5 * np.log(2 * sums * freedom**2 + 1)
+    bounded = _log_widths_from_0(sums, told, freedom, scales.families[:families])
+    return float(widths.sum() + np.where(rare, bounded, free).sum())
+
+
+def _sums(of: NDArray[np.intp], amounts: Array, count: int) -> Array:
+    """Return the sum of the amounts (n,) of each group or family (count,)."""
+    return np.bincount(of, amounts, count).astype(float)
+
+
+def _log_widths_from_0(squares: Array, counts: Array, freedom: Array, logs: Array) -> Array:
+    """Return the log widths (k,) of posteriors of logs that are not negative, over their priors'.
+
+    Parameters
+    ----------
+    squares, counts : (k,) float
+        Squares, in units of their variances, that tell the factors of which these are the logs, and
+        how many numbers they are from.
+    freedom : (k,) float
+        Standard deviations of the logs before.
+    logs : (k,) float
+        The likeliest.
+    """
+    # At 0 a log may be less likely by a slope; elsewhere the likeliest has none.
+    slope = np.where(logs > 0, 0.0, np.minimum(squares - counts, 0.0))
+    bend = 2 * squares + 1 / freedom**2
+    widths = 0.5 * slope**2 / bend - 0.5 * np.log(0.25 * bend * freedom**2)
+    return np.asarray(widths + log_ndtr((logs + slope / bend) * np.sqrt(bend)))
 
 
 def _posterior(model: LinearModel, scales: Scales) -> Posterior:
@@ -315,12 +343,12 @@ def _next(model: LinearModel, scales: Scales, found: Posterior) -> Scales:
     share = noise / found.variance
     square = share**2 * (left**2 + spread) + share * (found.variance - noise)
     groups = len(model.noise_freedom)
-    sums = np.bincount(model.group, square, groups).astype(float)
+    sums = _sums(model.group, square, groups)
     counts = np.bincount(model.group, minlength=groups).astype(float)
     families = len(model.family_freedom)
     scaled = model.family >= 0
     squares = found.mean**2 + uncertain
-    amounts = np.bincount(model.family[scaled], squares[scaled], families).astype(float)
+    amounts = _sums(model.family[scaled], squares[scaled], families)
     sizes = np.bincount(model.family[scaled], minlength=families).astype(float)
     # Most numbers determine nothing of a form, and EM would hardly move (D. J. C. MacKay 1992,
     # Neural Computation 4:415).
@@ -331,6 +359,7 @@ def _next(model: LinearModel, scales: Scales, found: Posterior) -> Scales:
     after = _likeliest_log(amounts, sizes, model.family_freedom, scales.families)
     most = MOST_FORM_DEVIATIONS * model.family_freedom[FORMS]
     after[FORMS] = np.clip(after[FORMS], -most, most)
+    after[model.rare] = np.maximum(after[model.rare], 0.0)
     louder = _likeliest_log(sums, counts, model.noise_freedom, scales.noise)
     return Scales(np.maximum(louder, 0.0), after)
 

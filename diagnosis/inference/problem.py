@@ -225,6 +225,13 @@ class InferenceProblem:
                     *(_FORM_FREEDOM for _ in FORMS),
                 ]
             ),
+            rare=np.array(
+                [
+                    *(False for _ in self._families),
+                    *(each.rare for _, each in self._of_groups),
+                    *(False for _ in FORMS),
+                ]
+            ),
             form=np.zeros(len(residuals)),
         )
 

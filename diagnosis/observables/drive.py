@@ -51,6 +51,8 @@ _WAVES = 0.3, 0.3
 # heights of 0.4 and qualities up to 20, have this standard deviation of the log, and the covariance
 # 1 / (1 + (Q ln(f/f'))²) (decision 0102).
 _BREAK_UP, _QUALITY = 0.2, 20.0
+# Nearby in log frequency, for the usual level of a drive. Chosen: an octave, several resonances.
+_NEARBY = 0.35
 # Directions with less of their variance than these are left out, of waves and of resonances; of
 # resonances they are errors. Chosen: a thousandth of a wave, and of resonances 1 %, the error of a
 # hologram.
@@ -114,7 +116,7 @@ def excitation_group(
 
     doubtful = _taken_for_drive(sweeps, hz)
     noise = np.diag(error**2) + fitted + leaked + _SMOOTH**2 * powers @ powers.T
-    waves, left = _loudspeaker(apart)
+    waves, left = _loudspeaker(apart, _in_notches(log, apart))
     noise = noise + doubtful @ doubtful.T + left
     places = [Coordinates("drive", band=band_of(float(f))) for f in hz]
     return observable_group(
@@ -136,19 +138,39 @@ def _taken_for_drive(sweeps: Sequence[SweepReading], hz: Array) -> Array:
     return np.asarray(-weight * np.log(np.abs(response)).reshape(len(hz), own_hz.size))
 
 
-def _loudspeaker(apart: Array) -> tuple[tuple[GroupNuisances, ...], Array]:
+def _in_notches(log: Array, apart: Array) -> Array:
+    """Return by what factor (n,) the drive is below its usual level nearby, at least 1.
+
+    Parameters
+    ----------
+    log : (n,) float
+        Log of the drive.
+    apart : (n, n) float
+        Differences of log frequency.
+    """
+    usual = [np.median(log[near]) for near in np.abs(apart) < _NEARBY]
+    return np.asarray(np.exp(np.maximum(np.array(usual) - log, 0.0)))
+
+
+def _loudspeaker(
+    apart: Array, notches: Array | float = 1.0
+) -> tuple[tuple[GroupNuisances, ...], Array]:
     """Return waves and resonances of a loudspeaker, and what is left of these as errors (n, n).
+
+    A loudspeaker has few resonances: where it has none, and is even, it says nothing about others.
 
     Parameters
     ----------
     apart : (n, n) float
         Differences of log frequency.
+    notches : (n,) float, optional
+        See `_in_notches`: what a resonance adds is more of a drive that others nearly cancel.
     """
     waves = _columns(np.exp(-0.5 * (apart / _WAVES[1]) ** 2), _LEAST_WAVE)
-    resonant = 1 / (1 + (_QUALITY * apart) ** 2)
+    resonant = np.multiply.outer(notches, notches) / (1 + (_QUALITY * apart) ** 2)
     most = _columns(resonant, _LEAST_RESONANT)
     found = tuple(
-        GroupNuisances(name, columns, DISORDER, "data sheets of tweeters")
+        GroupNuisances(name, columns, DISORDER, "data sheets of tweeters", rare=True)
         for name, columns in (
             ("response of the loudspeaker", _WAVES[0] * waves),
             ("resonances of the loudspeaker", _BREAK_UP * most),

@@ -21,7 +21,7 @@ from tests.diagnosis.toy import EFFECTS, LEVEL, bench, measured
 N, Q = 60, 20
 
 
-def drawn(seed, families=(1.0, 1.0), noise=(1.0, 1.0, 1.0)):
+def drawn(seed, families=(1.0, 1.0), noise=(1.0, 1.0, 1.0), rare=False):
     rng = np.random.default_rng(seed)
     slopes = rng.standard_normal((N, Q))
     family, group = np.repeat([0, 1], Q // 2), np.repeat([0, 1, 2], N // 3)
@@ -29,7 +29,8 @@ def drawn(seed, families=(1.0, 1.0), noise=(1.0, 1.0, 1.0)):
     left = left + np.array(noise)[group] * rng.standard_normal(N)
     # Of four families the last two, the form of effects, have no columns here.
     freedoms = np.full(3, 0.5), np.full(4, 0.7)
-    return LinearModel(left, slopes, group, family, *freedoms, np.zeros(N))
+    which = np.array([False, rare, False, False])
+    return LinearModel(left, slopes, group, family, *freedoms, which, np.zeros(N))
 
 
 def test_evidence_is_that_of_a_gaussian() -> None:
@@ -66,22 +67,28 @@ def test_scales_are_the_likeliest(truth) -> None:
     assert there.log_evidence == pytest.approx(-best.fun, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("families", "rare"), [((3, 0.5), False), ((3, 0.5), True), ((3, 2), True)]
+)
 @pytest.mark.parametrize("noise", [(1, 1, 1), (1, 2, 1), (0.7, 4, 1)])
-def test_evidence_is_that_of_all_scales(noise) -> None:
-    """Against importance sampling; noise is never less than 1."""
-    model = drawn(3, (3, 0.5), noise)
+def test_evidence_is_that_of_all_scales(noise, families, rare) -> None:
+    """Against importance sampling; noise, and what is rare, are never less than 1."""
+    model = drawn(3, families, noise, rare)
     found = weigh(model)
     centre = np.concatenate([found.scales.noise, found.scales.families[:2]])
     around = multivariate_normal(centre, 0.3**2 * np.eye(5))
-    drawn_at = around.rvs(4000, random_state=4)
+    drawn_at = around.rvs(8000, random_state=4)
+    least = np.array([0, 0, 0, -np.inf, 0 if rare else -np.inf])
     logs = np.array([weighed_at(model, Scales(x[:3], np.append(x[3:], [0, 0]))).log_evidence
-                     if np.all(x[:3] >= 0) else -np.inf for x in drawn_at])  # fmt: skip
-    # Densities of the prior: of half a Gaussian for noise, of a whole one for disorder.
+                     if np.all(x >= least) else -np.inf for x in drawn_at])  # fmt: skip
+    # Densities of the prior: of a whole Gaussian for disorder, of half a one for noise and what is
+    # rare.
     density = 3 * np.log(2 / 0.5) + 2 * np.log(1 / 0.7) - 2.5 * np.log(2 * np.pi)
+    density += np.log(2) if rare else 0.0
     mean = logsumexp(logs - around.logpdf(drawn_at)) - np.log(len(logs)) + density
     assert found.log_evidence == pytest.approx(mean, abs=0.4)
     # That of the likeliest scales alone is nats more.
-    assert weighed_at(model, found.scales).log_evidence > mean + 4
+    assert weighed_at(model, found.scales).log_evidence > mean + 3
 
 
 def test_larger_disorder_is_found_as_such() -> None:

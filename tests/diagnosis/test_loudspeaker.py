@@ -3,13 +3,29 @@
 import numpy as np
 import pytest
 
-from diagnosis.observables.drive import _BREAK_UP, _QUALITY, _WAVES, _loudspeaker
+from diagnosis.inference.candidate_search import search_alone
+from diagnosis.inference.candidates import without_effects
+from diagnosis.inference.effect_scan import Start
+from diagnosis.inference.nuisances import NUISANCES
+from diagnosis.inference.problem import InferenceProblem
+from diagnosis.observable_groups import Coordinates, Errors, Observable, observable_group
+from diagnosis.observables.drive import (
+    _BREAK_UP,
+    _QUALITY,
+    _WAVES,
+    _gain,
+    _in_notches,
+    _loudspeaker,
+)
+from physics.effects.catalogue import BY_ID
+from physics.parameters.tree import BenchParameters
 
 # 25 cents apart, from 1.4 to 16.5 kHz.
 HZ = 1417.2 * 2 ** (np.arange(170) / 48)
 APART = np.log(HZ)[:, None] - np.log(HZ)
 # Of one hologram.
 ERROR = 0.02
+LINE = BY_ID["second_acoustic_resonance"]
 
 
 def covariance():
@@ -56,3 +72,55 @@ def test_a_narrow_line_is_more_than_a_loudspeaker_does():
     # In standard deviations of its own amplitude.
     assert np.linalg.norm(narrow) > 5
     assert np.linalg.norm(wide) < 5
+
+
+def log_bayes(response):
+    """Log Bayes factor of a resonance that no bench file lists, by the drive (n,) alone."""
+    waves, left = _loudspeaker(APART, _in_notches(response, APART))
+    errors = Errors(ERROR**2 * np.eye(len(HZ)) + 1.0 + left, waves)
+    nominal, places = BenchParameters(), [Coordinates("drive")] * len(HZ)
+
+    def predict(parameters):
+        return np.log(_gain(parameters.drive, HZ))
+
+    values = predict(nominal) + response
+    group = observable_group("drive", Observable.DRIVE, values, errors, places, ("drive",), predict)
+    known = [nuisance for nuisance in NUISANCES if nuisance.family == "known resonance"]
+    problem = InferenceProblem([group], nominal, known)
+    null = without_effects(problem, [np.zeros(len(known))])
+    residuals, same = null.estimate.residuals, null.weighed
+    start = Start(null.parameters(problem), residuals, null.model, same, np.zeros(0), same)
+    return search_alone(problem, start, null, LINE).log_evidence - null.log_evidence
+
+
+def test_domes_that_break_up_are_no_evidence_for_another_resonance():
+    """Few resonances of a loudspeaker, and an even response elsewhere."""
+    rng = np.random.default_rng(1)
+    found = [log_bayes(dome(rng) + ERROR * rng.standard_normal(len(HZ))) for _ in range(10)]
+    assert np.median(found) < -2
+    # One effect of forty is there in one campaign of four: 4 nats make it as likely as none.
+    assert max(found) < 4
+
+
+@pytest.mark.parametrize("hz", [3000.0, 5000.0, 9000.0])
+def test_a_line_that_no_loudspeaker_has_is_evidence(hz):
+    """At its resonance it adds pressure in phase: the catalogue's phase is 90 degrees there."""
+    rng = np.random.default_rng(2)
+    noise = ERROR * rng.standard_normal(len(HZ))
+    assert log_bayes(line(hz, 42.0, 12.0) + noise) > 8
+
+
+def test_a_loudspeaker_without_resonances_is_no_evidence():
+    rng = np.random.default_rng(2)
+    assert log_bayes(ERROR * rng.standard_normal(len(HZ))) < 0
+
+
+def test_a_notch_is_what_is_below_the_usual_level_nearby():
+    notch = line(5000.0, 20.0, 10.0)
+    found = _in_notches(-notch, APART)
+    at = int(np.argmax(notch))
+    # Of the octave around it, the notch itself takes little.
+    assert found[at] == pytest.approx(np.exp(notch[at]), rel=0.1)
+    assert found.min() == 1.0
+    assert np.median(found) < 1.05
+    assert _in_notches(notch, APART)[at] == 1.0

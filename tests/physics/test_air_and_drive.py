@@ -52,6 +52,11 @@ def test_the_cavity_line_is_a_resonance_of_its_quality():
         assert abs(resonance_gain(line, hz) - 1) == pytest.approx(8 / np.sqrt(2), rel=0.02)
 
 
+def test_a_line_of_a_quarter_turn_adds_pressure_in_phase():
+    line = AcousticResonance(frequency_hz=3e3, quality=40.0, strength=0.2, phase_rad=np.pi / 2)
+    assert resonance_gain(line, 3e3) == pytest.approx(1 + 0.2 * 40, rel=1e-9)
+
+
 def test_far_from_the_line_pressure_passes():
     assert cavity(1.0) == pytest.approx(1 + AcousticResonance().strength, rel=1e-3)
     assert cavity(1e6) == pytest.approx(1, abs=1e-4)

@@ -48,6 +48,7 @@ from diagnosis.inference.similarity import Detectability, confusable_classes, de
 from diagnosis.known_bench import KnownEffects, only_once
 from diagnosis.observe import observable_groups
 from diagnosis.readings.campaign_readings import Readings
+from diagnosis.readings.sweeps import names_in_order
 from physics.alterations import YieldingClamp
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effect import Effect, Stage
@@ -344,7 +345,8 @@ def inference_problem(
     """
     clamped = with_alteration(base, YieldingClamp(), USUAL_COMPLIANCE_M_PA)
     nuisances = (*NUISANCES, *of_further_resonances(base.drive))
-    return InferenceProblem(observable_groups(readings, reed_solver), clamped, nuisances, known)
+    solver = reed_solver.in_order(names_in_order(readings.sweeps))
+    return InferenceProblem(observable_groups(readings, solver), clamped, nuisances, known)
 
 
 def _likeliest(probability: Mapping[str, float], classes: Sequence[tuple[str, ...]]) -> str:

@@ -4,9 +4,11 @@ If all shifts, growths and alterations are zero, the model is the nominal reed: 
 geometry of the reed file and the cane of the paper, rigidly clamped, in free air.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import combinations
 from types import MappingProxyType
 
 import numpy as np
@@ -61,6 +63,9 @@ _KEPT, _KEPT_CHANGES = 512, 16
 # Reeds to keep with all their modes, and with what those of others are sought from: some ten
 # megabytes each.
 _KEPT_REEDS = 4
+# Two modes may exchange their names if they are at least by this share as similar to each other's
+# modes of the nominal reed as to their own. Chosen: a fifth of the energy hardly mistakes a shape.
+_MIXED = 0.5
 
 
 @dataclass(frozen=True)
@@ -182,13 +187,13 @@ class ReedSolver:
 
     Attributes
     ----------
-    modes : callable
-        Cached function from `Mechanics` to a mapping of `ReedMode` by name, sorted by frequency.
-        It raises ImpossibleReedError if such a reed is physically impossible.
+    order : tuple of str
+        Modes whose order is known, see `in_order`.
     """
 
     def __init__(self, reed: ReducedReed, announce: Callable[[str], None] | None = None) -> None:
         self.reed = reed
+        self.order: tuple[str, ...] = ()
         self._unit = lru_cache(maxsize=None)(lambda kind: unit_change(reed, kind))
         self._coarse = lru_cache(maxsize=1)(
             lambda: coarse_mesh_cents(reed.geometry, reed.cane, announce)
@@ -202,7 +207,34 @@ class ReedSolver:
         )
         # Cached, because a finite difference in one parameter leaves most reeds of a campaign
         # unchanged.
-        self.modes = lru_cache(maxsize=_KEPT)(self._modes)
+        self._modes = lru_cache(maxsize=_KEPT)(self._named_modes)
+
+    def in_order(self, names: Sequence[str]) -> "ReedSolver":
+        """Return a solver for a reed of which the order of some modes is known.
+
+        Where two modes have each much of both shapes, either name suits either of them, and names
+        would change from one reed to the next. They get them in this order.
+
+        Parameters
+        ----------
+        names : sequence of str
+            By frequency, the lowest first.
+        """
+        other = copy(self)
+        other.order = tuple(names)
+        return other
+
+    def modes(self, reed: Mechanics) -> Mapping[str, ReedMode]:
+        """Return the modes of a reed up to 24 kHz by name, sorted by frequency.
+
+        Each mode gets the name of the most similar mode of the nominal reed, see also `in_order`.
+
+        Raises
+        ------
+        ImpossibleReedError
+            If such a reed is physically impossible.
+        """
+        return self._modes(reed, self.order)
 
     @cached_property
     def mass_kg(self) -> Array:
@@ -218,16 +250,7 @@ class ReedSolver:
             air_fraction=reed.air_share,
         )
 
-    def _modes(self, reed: Mechanics) -> Mapping[str, ReedMode]:
-        """Return the modes of a reed up to 24 kHz by name, sorted by frequency.
-
-        Each mode gets the name of the most similar mode of the nominal reed.
-
-        Raises
-        ------
-        ImpossibleReedError
-            If such a reed is physically impossible.
-        """
+    def _named_modes(self, reed: Mechanics, order: tuple[str, ...]) -> Mapping[str, ReedMode]:
         found = self._vibrations(reed.lossless)
         loss = reed.loss_factor * (found.hz / PIVOT_HZ) ** reed.loss_growth
         if reed.shear_loss_log:
@@ -240,8 +263,7 @@ class ReedSolver:
         # Moduli grow with frequency: a mode that is stiffer rises by more than the root says.
         follow = 2 * np.square(2 * np.pi * found.hz) / -form_by_ln_hz(found)
         modes = {}
-        rows, columns = linear_sum_assignment(np.abs(momenta @ found.coordinates), maximize=True)
-        named = dict(zip(columns.tolist(), (names[row] for row in rows), strict=True))
+        named = _in_order(names, np.abs(momenta @ found.coordinates), found.hz, order)
         for m in sorted(named):
             name, hz = named[m], float(found.hz[m])
             if reed.coarse_share:
@@ -327,6 +349,33 @@ class ReedSolver:
         found = vibrations(self.reed, self.state(Mechanics()), HIGHEST_HZ)
         names = [naming.name for naming in names_of(all_descriptors(self.reed, found.coordinates))]
         return names, found.coordinates.T @ self.mass_kg
+
+
+def _in_order(
+    names: Sequence[str], similar: Array, hz: Array, order: Sequence[str]
+) -> dict[int, str]:
+    """Return the names of modes by their place.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of n modes of the nominal reed.
+    similar : (n, m) float
+        How similar modes are to these.
+    hz : (m,) float
+    order : sequence of str
+        See `ReedSolver.in_order`.
+    """
+    rows, columns = linear_sum_assignment(similar, maximize=True)
+    rank = {names[row]: row for row in rows.tolist()}
+    mode = dict(zip(rows.tolist(), columns.tolist(), strict=True))
+    for low, high in combinations([rank[name] for name in order if name in rank], 2):
+        one, other = mode[low], mode[high]
+        own = similar[low, one] + similar[high, other]
+        exchanged = similar[low, other] + similar[high, one]
+        if hz[one] > hz[other] and exchanged > _MIXED * own:
+            mode[low], mode[high] = other, one
+    return {m: names[row] for row, m in mode.items()}
 
 
 def cane_law(nominal: Cane, kind: ViscoelasticCane, shift: CaneShift) -> CaneLaw:

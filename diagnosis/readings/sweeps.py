@@ -439,6 +439,15 @@ def reference_of(sweeps: Sequence[SweepReading]) -> SweepReading:
     return max(sweeps, key=lambda sweep: len(often.intersection(sweep.names)))
 
 
+def names_in_order(sweeps: Sequence[SweepReading]) -> list[str]:
+    """Return the names of all modes by their median frequency, the lowest first."""
+    found: dict[str, list[float]] = {}
+    for sweep in sweeps:
+        for name, hz in zip(sweep.names, sweep.hz.tolist(), strict=True):
+            found.setdefault(name, []).append(hz)
+    return sorted(found, key=lambda name: float(np.median(found[name])))
+
+
 def common_modes(sweeps: Sequence[SweepReading]) -> list[str]:
     """Modes that the reference names (`reference_of`), and all other sweeps but one."""
     reference = reference_of(sweeps)

@@ -24,7 +24,7 @@ from diagnosis.readings.carrier import read_carriers
 from diagnosis.readings.mean_drive import mean_drive
 from diagnosis.readings.reed_at_rest import read_rest_holograms
 from diagnosis.readings.step_log import read_step_log
-from diagnosis.readings.sweeps import common_modes
+from diagnosis.readings.sweeps import common_modes, names_in_order
 from diagnosis.readings.templates import TEMPLATES
 from fitting.errors import FitError, FitInputError
 from fitting.holograms.block_amplitudes import _holograms
@@ -243,6 +243,14 @@ def test_sweeps_without_common_modes_tell_none() -> None:
     )
     assert modes_group([sweep(names=("X9",))], FewModes(), NO_LEAKS, BenchParameters()) is None
     assert force_group([sweep(), high], FewModes(), BenchParameters()) is None
+
+
+def test_names_are_in_the_order_of_most_sweeps() -> None:
+    hz = np.array([3000.0, 2000.0])
+    sweeps = [sweep(name, names=("F1", "T1"), hz=hz) for name in ("up", "down")]
+    sweeps.append(sweep("odd", names=("F1", "X1"), hz=np.array([1000.0, 2500.0])))
+    assert names_in_order(sweeps) == ["T1", "X1", "F1"]
+    assert names_in_order([]) == []
 
 
 @pytest.mark.parametrize("place", [0, 1, 3])

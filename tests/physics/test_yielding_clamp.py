@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from holography.arrays import Array
 from physics.alterations import YieldingClamp, unit_change, with_sliding
 from physics.mechanics import Mechanics, ReedSolver
 from physics.reed.cane.material import stiffness_terms_pa
@@ -125,3 +126,25 @@ def test_more_shear_lowers_what_bends_and_moves_sideways_and_spares_what_twists(
     # Without a clamp that yields there is nothing to shear.
     rigid = [solver.modes(Mechanics(bed_shear_log=log))["F1"].hz for log in (0.0, 0.5)]
     assert rigid[0] == rigid[1]
+
+
+def test_modes_that_a_clamp_mixes_have_names_in_the_order_that_is_known(coarse_reed) -> None:
+    """L1 and X1 exchange their shapes over a decade of compliance, and never meet."""
+    plain = ReedSolver(coarse_reed)
+    clamps = 1e-13 * np.arange(0.5, 8.0, 0.5)
+    reeds = [Mechanics(alterations=((YieldingClamp(), float(each)),)) for each in clamps]
+
+    def hz(solver, name) -> Array:
+        return np.array([solver.modes(reed)[name].hz for reed in reeds])
+
+    assert np.abs(np.diff(np.log(hz(plain, "L1")))).max() > 0.05
+    one, other = plain.in_order(("L1", "X1")), plain.in_order(("X1", "L1"))
+    # Hardly mixed: names are those of the shapes.
+    assert hz(one, "L1")[0] == hz(plain, "L1")[0] > hz(plain, "X1")[0]
+    mixed = slice(np.flatnonzero(hz(one, "L1") < hz(one, "X1"))[0], None)
+    assert clamps[mixed][0] < 3e-13
+    assert np.abs(np.diff(np.log(hz(one, "L1")[mixed]))).max() < 0.03
+    np.testing.assert_array_equal(hz(other, "X1")[mixed], hz(one, "L1")[mixed])
+    np.testing.assert_array_equal(hz(other, "L1")[mixed], hz(one, "X1")[mixed])
+    for name in ("F1", "T2", "F3"):
+        np.testing.assert_array_equal(hz(one, name), hz(plain, name))

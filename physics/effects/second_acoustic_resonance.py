@@ -16,8 +16,9 @@ _RELATIVE_STEP = 0.018
 _GRID_HZ = tuple(float(hz) for hz in 2000.0 * (1 + _RELATIVE_STEP) ** np.arange(117))
 _GRID_QUALITY, _LOG_QUALITY_SD = (18.0, 42.0), 0.35
 # A path of another length, a dome that breaks up or a tube adds pressure of any phase.
-_PHASE_STEP_DEG = 90.0
-_GRID_PHASE_DEG = (-90.0, 0.0, 90.0, 180.0)
+_PHASE_STEP_RAD = 0.5 * math.pi
+# The third is what a bench file has that names none.
+_GRID_PHASE_RAD = tuple(_PHASE_STEP_RAD * turn for turn in (-2, -1, 0, 1))
 
 
 def with_unlisted(
@@ -30,7 +31,7 @@ def with_unlisted(
         frequency_hz=values["hz"] * float(np.exp(values["log_hz"])),
         quality=values["quality"] * float(np.exp(values["log_quality"])),
         strength=values["strength"],
-        phase_rad=math.radians(values["phase_deg"] + values["turn_deg"]),
+        phase_rad=values["phase"] + values["turn"],
     )
     return with_part(parameters, "drive", **{field: resonance})
 
@@ -52,11 +53,11 @@ EFFECT = Effect(
         Parameter("log_hz", "", _RELATIVE_STEP / math.sqrt(12), "uniform between grid frequencies"),
         Parameter("log_quality", "", _LOG_QUALITY_SD, "small cavities with openings"),
         Parameter(
-            "turn_deg", "°", _PHASE_STEP_DEG / math.sqrt(12), "uniform between phases of the grid"
+            "turn", "rad", _PHASE_STEP_RAD / math.sqrt(12), "uniform between phases of the grid"
         ),
         Parameter("hz", "Hz", 0.0, "anywhere in the sweep", grid=_GRID_HZ),
         Parameter("quality", "", 0.0, "small cavities with openings", grid=_GRID_QUALITY),
-        Parameter("phase_deg", "°", 0.0, "paths of any length", grid=_GRID_PHASE_DEG),
+        Parameter("phase", "rad", 0.0, "paths of any length", grid=_GRID_PHASE_RAD),
     ),
     change=partial(with_unlisted, "second_resonance"),
     reference="paper, section III",

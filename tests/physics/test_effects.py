@@ -196,14 +196,14 @@ def test_a_hop_and_a_resonance_are_where_they_are_said_to_be() -> None:
     hopped = BY_ID["laser_mode_hop"].change(nominal, {"contrast_loss": 0.3, "after": 0.6})
     assert hopped == with_part(nominal, "optics.interference", hop=0.3, hop_after_h=0.6)
     sizes = {"strength": 0.2, "log_hz": 0.01, "log_quality": -0.2, "hz": 5e3, "quality": 18.0}
-    sizes |= {"phase_deg": 90.0, "turn_deg": -5.0}
+    sizes |= {"phase": 1.5, "turn": -0.1}
     for number in ("second", "third"):
         changed = BY_ID[f"{number}_acoustic_resonance"].change(nominal, sizes)
         resonance = getattr(changed.drive, f"{number}_resonance")
         assert resonance.strength == 0.2
         assert resonance.frequency_hz == pytest.approx(5e3 * np.exp(0.01))
         assert resonance.quality == pytest.approx(18 * np.exp(-0.2))
-        assert np.degrees(resonance.phase_rad) == pytest.approx(85.0)
+        assert resonance.phase_rad == pytest.approx(1.4)
         usual = getattr(nominal.drive, f"{number}_resonance")
         assert with_part(changed, "drive", **{f"{number}_resonance": usual}) == nominal
 

@@ -15,6 +15,7 @@ from diagnosis.gap_map import GapMap
 from diagnosis.observable_groups import Observable
 from physics.effects.catalogue import BY_ID
 from protocols.yaml_files.insertion import Entry
+from reports.effects import size_words
 from reports.figures.drawing import png_of
 from reports.figures.gap_map import draw_map
 from reports.own_output import Output, page_kind, write_output
@@ -85,7 +86,8 @@ def _headline(verdict: Diagnosis) -> str:
     group = next((group for group in verdict.shown if name in group), (name,))
     sure = sum(verdict.probability_of_what_shows.get(other, 0.0) for other in group) >= _PROBABLE
     what = "Cause of the difference" if sure else "Most likely cause, which is not certain"
-    sizes = _size_words(verdict, name)
+    # Second sizes say little without the page.
+    sizes = size_words(verdict.selection.candidate(name), strengths_only=True)
     own = f"{_title(name)} ({p:.0%})" + (f", {sizes}" if sizes else "")
     if len(group) == 1:
         return f"{what}: {own}."
@@ -303,21 +305,9 @@ def _causes(verdict: Diagnosis) -> Table:
     rows = []
     for name, p in listed:
         action = "; ".join(notes_of(BY_ID[part]).check for part in name.split("+") if part in BY_ID)
-        rows.append((_title(name), p, _size_words(verdict, name), action))
+        sizes = size_words(verdict.selection.candidate(name))
+        rows.append((_title(name), p, sizes, action))
     return Table(columns, tuple(rows))
-
-
-def _size_words(verdict: Diagnosis, name: str) -> str:
-    """Return the sizes of an effect, or of both effects of a pair, as fitted, with errors."""
-    rival = verdict.selection.candidate(name)
-    told = []
-    for effect, sizes in (rival.size_estimates if rival else {}).items():
-        own = "; ".join(
-            f"{p.name} {p.scale * z:.2g} ± {p.scale * error:.1g} {p.unit}".strip()
-            for p, z, error in sizes
-        )
-        told.append(own if effect == name else f"{_title(effect)}: {own}")
-    return "; ".join(told)
 
 
 def _triggers(verdict: Diagnosis) -> Table:

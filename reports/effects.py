@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from diagnosis.effect_notes import notes_of
+from diagnosis.inference.candidates import Candidate
 from diagnosis.observable_groups import Observable
 from physics.effects.effect import Effect, Parameter
 from reports.tables import Column, Table
@@ -38,6 +39,32 @@ def _size(parameter: Parameter) -> str:
     sign = "" if parameter.positive else "±"
     usual = f"{parameter.name} {sign}{parameter.spread:g} {parameter.unit}".strip()
     return f"{usual}, at most {parameter.most:g}" if parameter.most else usual
+
+
+def size_words(candidate: Candidate | None, *, strengths_only: bool = False) -> str:
+    """Return the sizes of a candidate's effects, as fitted, with errors, and where they act.
+
+    Parameters
+    ----------
+    candidate : Candidate or None
+        Of none, nothing is said.
+    strengths_only : bool
+        Whether second sizes are left out.
+    """
+    if candidate is None:
+        return ""
+    said = []
+    for located in candidate.effects:
+        effect, at = located.effect, located.location
+        own = [
+            f"{p.name} {p.scale * z:.2g} ± {p.scale * error:.1g} {p.unit}".strip()
+            for p, z, error in candidate.size_estimates[effect.id]
+            if p.most or not strengths_only
+        ]
+        own += [f"{p.name} {at[p.name]:.4g} {p.unit}".strip() for p in effect.gridded]
+        alone = len(candidate.effects) == 1
+        said.append(("" if alone else f"{effect.title}: ") + "; ".join(own))
+    return "; ".join(said)
 
 
 def effects_to_json(effects: Sequence[Effect]) -> list[dict[str, Any]]:

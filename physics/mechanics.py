@@ -63,8 +63,8 @@ _KEPT, _KEPT_CHANGES = 512, 16
 # Reeds to keep with all their modes, and with what those of others are sought from: some ten
 # megabytes each.
 _KEPT_REEDS = 4
-# Two modes may exchange their names if they are at least by this share as similar to each other's
-# modes of the nominal reed as to their own. Chosen: a fifth of the energy hardly mistakes a shape.
+# Two modes may exchange their names if their similarity to each other's modes of the nominal reed
+# is at least this share of that to their own. Chosen: it is a fifth of their energy.
 _MIXED = 0.5
 
 

@@ -290,10 +290,10 @@ def log_width(model: LinearModel, weighed: Weighed) -> float:
     scaled = (model.family >= 0) & (model.family < families)
     variance, own = model.prior_variance(scales)[scaled], model.family[scaled]
     sums = _sums(own, found.mean[scaled] ** 2 / variance, families)
-    told = _sums(own, 1 - uncertain[scaled] / variance, families)
+    counts = _sums(own, 1 - uncertain[scaled] / variance, families)
     freedom, rare = model.family_freedom[:families], model.rare[:families]
     free = -0.5 * np.log(2 * sums * freedom**2 + 1)
-    bounded = _log_widths_from_0(sums, told, freedom, scales.families[:families])
+    bounded = _log_widths_from_0(sums, counts, freedom, scales.families[:families])
     return float(widths.sum() + np.where(rare, bounded, free).sum())
 
 

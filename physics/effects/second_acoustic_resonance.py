@@ -31,7 +31,7 @@ def with_unlisted(
         frequency_hz=values["hz"] * float(np.exp(values["log_hz"])),
         quality=values["quality"] * float(np.exp(values["log_quality"])),
         strength=values["strength"],
-        phase_rad=values["phase"] + values["turn"],
+        phase_rad=math.remainder(values["phase"] + values["turn"], 2 * math.pi),
     )
     return with_part(parameters, "drive", **{field: resonance})
 

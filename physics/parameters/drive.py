@@ -47,14 +47,14 @@ class AcousticResonance:
     strength : float
         Pressure through the resonant path at low frequency, relative to the direct path.
     phase_rad : float
-        Phase of this pressure: 0 for a chamber behind an opening, π/2 for a dome or a tube that
-        moves most at its resonance.
+        Phase that this pressure has in addition, at all frequencies: 0 for a chamber behind an
+        opening, π/2 for a dome or a tube, which adds its pressure in phase at its resonance.
     """
 
     frequency_hz: float = quantity(4308.6, "Hz", 1e3, 25e3, "paper, Fig. 2: picture 78")
     quality: float = quantity(25.0, "", 3.0, 100.0, _CAVITY)
     strength: float = quantity(0.12, "", 0.0, 1.0, "a clear but moderate peak (paper, Fig. 2)")
-    phase_rad: float = quantity(0.0, "rad", -math.pi, math.pi, _CAVITY)
+    phase_rad: float = quantity(0.0, "rad", -math.pi, math.pi, "paths of any length")
 
 
 @dataclass(frozen=True)

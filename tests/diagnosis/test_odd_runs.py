@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagnosis import campaign_diagnosis
+from diagnosis.campaign_diagnosis import inference_problem
 from diagnosis.observable_groups import Coordinates, Observable, observable_group
 from diagnosis.observables.brightness import brightness_group
 from diagnosis.observables.carrier import Leaks
@@ -251,6 +253,21 @@ def test_names_are_in_the_order_of_most_sweeps() -> None:
     sweeps.append(sweep("odd", names=("F1", "X1"), hz=np.array([1000.0, 2500.0])))
     assert names_in_order(sweeps) == ["T1", "X1", "F1"]
     assert names_in_order([]) == []
+
+
+def test_the_model_of_a_campaign_knows_the_order_of_its_modes(monkeypatch) -> None:
+    def built(_readings, solver):
+        asked.append(solver)
+        return []
+
+    asked: list[tuple[str, list[str]]] = []
+    monkeypatch.setattr(campaign_diagnosis, "observable_groups", built)
+    solver = SimpleNamespace(in_order=lambda names: ("ordered", names))
+    readings = SimpleNamespace(
+        sweeps=[sweep(names=("X1", "L1"), hz=np.array([7e3, 6.4e3]))],
+    )
+    inference_problem(readings, solver, BenchParameters())
+    assert asked == [("ordered", ["L1", "X1"])]
 
 
 @pytest.mark.parametrize("place", [0, 1, 3])

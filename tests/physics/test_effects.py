@@ -204,6 +204,9 @@ def test_a_hop_and_a_resonance_are_where_they_are_said_to_be() -> None:
         assert resonance.frequency_hz == pytest.approx(5e3 * np.exp(0.01))
         assert resonance.quality == pytest.approx(18 * np.exp(-0.2))
         assert resonance.phase_rad == pytest.approx(1.4)
+        turned = BY_ID[f"{number}_acoustic_resonance"].change(nominal, sizes | {"turn": 2.0})
+        resonance = getattr(turned.drive, f"{number}_resonance")
+        assert resonance.phase_rad == pytest.approx(3.5 - 2 * np.pi)
         usual = getattr(nominal.drive, f"{number}_resonance")
         assert with_part(changed, "drive", **{f"{number}_resonance": usual}) == nominal
 

@@ -257,6 +257,21 @@ def test_what_fits_do_not_know_of_the_drive_is_an_error_of_its_lines() -> None:
     assert after - before == pytest.approx(doubt)
 
 
+def test_in_a_notch_of_the_drive_resonances_are_larger() -> None:
+    """By as much as the drive is below its level nearby; on a peak they are as elsewhere."""
+
+    def spread(height: float) -> float:
+        log_drive = np.zeros(160)
+        log_drive[90] = height
+        sweeps = [sweep(log_drive=log_drive), sweep("down", log_drive=log_drive)]
+        found = excitation_group(sweeps, BenchParameters(), Leaks({}, 0.0)).errors
+        (own,) = (n for n in found.nuisances if n.name == "resonances of the loudspeaker")
+        return float(np.sum(own.columns[90] ** 2))
+
+    assert spread(-2.0) == pytest.approx(np.exp(4.0) * spread(0.0), rel=0.05)
+    assert spread(2.0) == pytest.approx(spread(0.0))
+
+
 def test_a_mode_that_is_not_identified_may_be_in_the_drive() -> None:
     """Half of it is within the errors; a drive with a peak of the same height elsewhere is not."""
     hz, loss = np.geomspace(1e3, 1e4, 160), 0.03
